@@ -88,13 +88,15 @@ KINDS = (
     "mirror, edge, mirror",
     "mirror, two edges, mirror",
     "mirrors there and back",
+    "edges",
 )
 MIRRORS, EDGE, MIRROR_EDGE, EDGE_MIRROR, TWO_EDGES = range(5)
 MIRRORS_AND_BACK = 9  # by the first of two planes, the second, and the first again
+EDGES = 10  # by three edges or more: the first and the last one
 #: Kinds of paths by one edge and by two: [edges - 1][a reflection before them][one after them].
 EDGE_KINDS = (((EDGE, EDGE_MIRROR), (MIRROR_EDGE, 7)), ((TWO_EDGES, 6), (5, 8)))
 REVERSE_KIND = np.array(
-    [MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES, 6, 5, 7, 8, MIRRORS_AND_BACK]
+    [MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES, 6, 5, 7, 8, MIRRORS_AND_BACK, EDGES]
 )
 _PLOT_BIN_S = 0.01  # of the plot that a notebook shows
 

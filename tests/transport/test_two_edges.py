@@ -58,6 +58,7 @@ def test_paths_by_two_edges_are_shortest() -> None:
                     assert abs(arrival.delay * SPEED - best.fun) < 1e-4
                     continue
                 by_ends = length(np.clip(best.x, 0.01, limit - 0.01))
-                assert abs(arrival.delay * SPEED - by_ends) < 2e-3
+                bounded = minimize(length, 0.5 * limit, bounds=[(0.0, x) for x in limit]).fun
+                assert min(abs(arrival.delay * SPEED - x) for x in (by_ends, bounded)) < 2e-3
                 assert by_ends - best.fun < 2.0 * _BEYOND
-    assert found.count(True) >= 5 and found.count(False) >= 5
+    assert found.count(True) >= 20

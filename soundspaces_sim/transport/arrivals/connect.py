@@ -14,8 +14,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, row
-from soundspaces_sim.echogram.echogram import EDGE_KINDS, MIRRORS, MIRRORS_AND_BACK, REVERSE_KIND
-from soundspaces_sim.scene.rays.geometry import unoccluded
+from soundspaces_sim.echogram.echogram import EDGE_KINDS, EDGES, MIRRORS, MIRRORS_AND_BACK, REVERSE_KIND
 from soundspaces_sim.transport.arrivals.cover import NEAR, cover_at
 from soundspaces_sim.transport.arrivals.double_wedge import DoubleWedgeScratch
 from soundspaces_sim.transport.arrivals.field import (
@@ -42,7 +41,7 @@ from soundspaces_sim.transport.arrivals.images import (
     sees,
 )
 from soundspaces_sim.transport.arrivals.mirrors import on_planes, straight_path, trace_mirrors, unfold
-from soundspaces_sim.transport.arrivals.scene_edges import Edges
+from soundspaces_sim.transport.arrivals.scene_edges import Edges, beside, is_free
 from soundspaces_sim.transport.arrivals.sight import (
     Seen,
     Sight,
@@ -58,6 +57,14 @@ from soundspaces_sim.transport.arrivals.two_edges import (
     two_edge_path,
 )
 from soundspaces_sim.transport.arrivals.waves import Path, Waves, add_wave, energy_of, fade, join, smooth
+from soundspaces_sim.transport.arrivals.ways import (
+    WayScratch,
+    choose_ways,
+    is_new,
+    set_way,
+    solve_way,
+    way_field,
+)
 from soundspaces_sim.transport.arrivals.wedges import (
     BOUNDARY_OFFSET,
     WedgeCoordinates,
@@ -100,10 +107,9 @@ class Scratch(NamedTuple):
     energy: np.ndarray  # (b,)
     heard: np.ndarray  # (b,) least |P|² of a wave that counts
     least: np.ndarray  # (b,) the same of the ends at hand, before what planes take
-    link: (
-        np.ndarray
-    )  # (n,) rows of the second end's links, by `MutualVisibility` from the first end; -1 for none
+    link: np.ndarray  # (n,) rows of the second end's links, by `Links` from the first end; -1 for none
     double: DoubleWedgeScratch
+    way: WayScratch
 
 
 class _Ends(NamedTuple):
@@ -114,7 +120,6 @@ class _Ends(NamedTuple):
     u: int  # rows of what they see
     v: int
     lit: bool  # they see each other, or there is the reflection between them
-    others: bool  # whether links that are not of one face count
 
 
 class _Least(NamedTuple):
@@ -368,7 +373,7 @@ def _add_single(
     if first.real**2 + first.imag**2 <= least[loudest]:
         return
     at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
-    if not (sees(context.sight, p, at) and sees(context.sight, q, at)):
+    if not (_reaches(context, p, e, at) and _reaches(context, q, e, at)):
         return
     for k in range(len(least)):
         mirror = _mirror(context, e, path, cos, k)
@@ -377,7 +382,7 @@ def _add_single(
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
-    _add_by_edges(context, ends, (e, -1), (at, at), length, scratch)
+    _add_by_edges(context, ends, (e, -1), (at, at), length, False, scratch)
 
 
 @part
@@ -410,9 +415,10 @@ def _add_by_edges(
     edges: tuple[int, int],
     at: tuple[Vec3, Vec3],
     length: float,
+    more: bool,
     scratch: Scratch,
 ) -> None:
-    """Add the wave whose field is in the scratch, less what planes take of it."""
+    """Add the wave whose field is in the scratch, less what planes take of it; `more` edges than two."""
     p, q, energy = ends.p, ends.q, scratch.energy
     energy[:] = 1.0
     at_p, group_p = reflected(context.sight, p, at[0], energy)
@@ -423,6 +429,8 @@ def _add_by_edges(
     for b in range(len(energy)):
         energy[b] *= share
     kind = _KINDS[1 if edges[1] >= 0 else 0, 1 if p.plane >= 0 else 0, 1 if q.plane >= 0 else 0]
+    if more:
+        kind = EDGES
     planes, groups = (p.plane, q.plane), (group_p, group_q, -1)
     if p.plane < 0:
         planes, groups = (q.plane, -1), (group_q, -1, -1)
@@ -441,25 +449,22 @@ def _double_may_be_heard(
     at = a.link[n]
     i, j = a.link_row[n], b.link_row[m]
     e, f, r_p, w, r_q = a.wedge[i], b.wedge[j], a.r[i], links.width[at], b.r[j]
-    across, rest, along, parallel = r_p + w + r_q, w + r_q, 0.0, links.sense[at] != 0.0
-    if parallel:
-        along = links.sense[at] * b.z[j] + links.shift[at] - a.z[i]
+    across, rest = r_p + w + r_q, w + r_q
+    along = links.sense[at] * b.z[j] + links.shift[at] - a.z[i]
     squared = across * across + along * along
-    if not parallel:
-        squared = max(squared, straight * straight)
     if lit and squared > (straight + _MAX_DETOUR) ** 2:
         return False
-    first, second, share = a.link_size[n] * rest * across, b.link_size[m] * rest / w, math.inf
-    # Twice the product, as it is off by some dB.
-    scale = (0.5 if links.strip[at] else 2.0) / squared
-    if not _is_above(first, second, scale, share, spectrum, least):
+    first, second = a.link_size[n] * rest * across, b.link_size[m] * rest / w
+    scale = (
+        0.5 / squared
+    )  # a quarter, as the face's image is in both, and twice that, as it is off by some dB
+    if not _is_above(first, second, scale, math.inf, spectrum, least):
         return False
     total = math.sqrt(squared)
-    if parallel:
-        z = a.z[i], a.z[i] + along
-        share = _between_ends(wedges.length[e], (r_p, rest), z, total, BEYOND)
-        z = links.sense[at] * (a.z[i] - links.shift[at]), b.z[j]
-        share = min(share, _between_ends(wedges.length[f], (r_p + w, r_q), z, total, BEYOND))
+    z = a.z[i], a.z[i] + along
+    share = _between_ends(wedges.length[e], (r_p, rest), z, total, BEYOND)
+    z = links.sense[at] * (a.z[i] - links.shift[at]), b.z[j]
+    share = min(share, _between_ends(wedges.length[f], (r_p + w, r_q), z, total, BEYOND))
     return _is_above(first, second, scale, share, spectrum, least)
 
 
@@ -481,23 +486,25 @@ def _is_above(
 def _add_doubles(
     context: Context, a: Seen, b: Seen, ends: _Ends, straight: float, scratch: Scratch
 ) -> None:
-    """Waves by two edges: those of one face and, where points do not see each other, others that lead into the
-    shadow at both of them or nearly."""
-    mutual, links, link, others = context.edges.mutual, context.edges.links, scratch.link, ends.others
-    begin, end = b.link_start[ends.v], b.link_start[ends.v + 1] if others else b.link_split[ends.v]
+    """Waves by two edges of one face."""
+    links, link = context.edges.links, scratch.link
+    begin, end = b.link_start[ends.v], b.link_start[ends.v + 1]
     for m in range(begin, end):
-        link[mutual.reverse[b.link[m]]] = m
-    for n in range(a.link_start[ends.u], a.link_start[ends.u + 1] if others else a.link_split[ends.u]):
+        link[links.reverse[b.link[m]]] = m
+    for n in range(a.link_start[ends.u], a.link_start[ends.u + 1]):
         m = link[a.link[n]]
-        if m < 0:
-            continue
-        if not (links.strip[a.link[n]] or (a.link_shadow[n] and b.link_shadow[m])):
-            continue
-        if _double_may_be_heard(context, a, b, n, m, straight, ends.lit, scratch.least):
+        if m >= 0 and _double_may_be_heard(context, a, b, n, m, straight, ends.lit, scratch.least):
             e, f = a.wedge[a.link_row[n]], b.wedge[b.link_row[m]]
             _add_double(context, ends, e, f, straight, scratch)
     for m in range(begin, end):
-        link[mutual.reverse[b.link[m]]] = -1
+        link[links.reverse[b.link[m]]] = -1
+
+
+@part
+def _reaches(context: Context, end: End, e: int, at: Vec3) -> bool:
+    """Whether sound gets from an end to a place off an edge."""
+    view = context.sight
+    return sees(view, end, at) or sees(view, end, beside(view.geometry, context.edges.wedges, e, at))
 
 
 @part
@@ -505,7 +512,9 @@ def _clear(context: Context, x: TwoEdgePath, p: End, q: End) -> bool:
     """Whether nothing is in the way of a path by two edges."""
     wedges, view = context.edges.wedges, context.sight
     at_e, at_f = met_point(wedges, x.e, x.z_e), met_point(wedges, x.f, x.z_f)
-    return sees(view, p, at_e) and sees(view, q, at_f) and unoccluded(view.geometry, at_e, at_f)
+    if not (_reaches(context, p, x.e, at_e) and _reaches(context, q, x.f, at_f)):
+        return False
+    return is_free(view.geometry, wedges, (x.e, x.f), (at_e, at_f))
 
 
 @part
@@ -533,7 +542,42 @@ def _add_double(
     if not on_edges:
         longer = distance(p.at, at_e) + distance(at_e, at_f) + distance(at_f, q.at)
         length = _turned(scratch.field, spectrum, length, longer)
-    _add_by_edges(context, ends, (e, f), (at_e, at_f), length, scratch)
+    _add_by_edges(context, ends, (e, f), (at_e, at_f), length, False, scratch)
+
+
+@part
+def _add_ways(
+    context: Context, a: Sight, b: Sight, i: int, j: int, ends: _Ends, scratch: Scratch
+) -> None:
+    """Waves by three edges and more: from the ways of either point to the edges that the other one sees."""
+    wedges, view, way, p, q = context.edges.wedges, context.sight, scratch.way, ends.p, ends.q
+    solved = 0
+    for reverse in (False, True):
+        own, of, at, n = (b, j, p.at, ends.u) if reverse else (a, i, q.at, ends.v)
+        seen = a.seen if reverse else b.seen
+        rows = seen.start[n], seen.start[n + 1]
+        for m in range(choose_ways(wedges, own.ways, of, rows, seen.wedge, seen.phi, at, way)):
+            count = set_way(own.ways, of, way.last[m], reverse, way)
+            count, length = solve_way(view, context.edges, count, p.at, q.at, way)
+            if count < 2 or (count == 2 and way.common[0]) or not is_new(count, solved, way):
+                continue
+            solved += 1
+            if not way_field(
+                wedges,
+                count,
+                p.at,
+                q.at,
+                length,
+                context.spectrum,
+                scratch.least,
+                way,
+                scratch.double,
+                scratch.field,
+            ):
+                continue
+            e, f = way.edge[0], way.edge[count - 1]
+            met = met_point(wedges, e, way.z[0]), met_point(wedges, f, way.z[count - 1])
+            _add_by_edges(context, ends, (e, f), met, length, count > 2, scratch)
 
 
 @part
@@ -573,18 +617,20 @@ def _add_edges(
                 continue
             if a.seen.start[u] == a.seen.start[u + 1] or b.seen.start[v] == b.seen.start[v + 1]:
                 continue
-            plane, reached, others = max(plane_p, plane_q), lit, not lit
+            plane, reached = max(plane_p, plane_q), lit
             if plane >= 0:
                 if lit and not _mirrors_near(view, plane, at_p, at_q):
                     continue
                 if of_points:
                     _set_heard(scratch, _HEARD_IMAGES)
-                of_points = others = False
+                of_points = False
                 reached = min(plane_p, plane_q) < 0 and _has(scratch.waves, (plane, -1), False)
             p, q = end_at(view, plane_p, at_p), end_at(view, plane_q, at_q)
-            ends, least = _Ends(p, q, u, v, reached, others), _set_least(context, p, q, scratch)
+            ends, least = _Ends(p, q, u, v, reached), _set_least(context, p, q, scratch)
             _add_singles(context, a.seen, b.seen, ends, least, scratch)
             _add_doubles(context, a.seen, b.seen, ends, distance(p.at, q.at), scratch)
+            if plane < 0 and not lit:
+                _add_ways(context, a, b, i, j, ends, scratch)
 
 
 @part

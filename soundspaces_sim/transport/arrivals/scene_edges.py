@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, along, dot, row, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, dot, length, row, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.arrivals.wedges import (
@@ -25,6 +25,7 @@ _LEAST_WIDTH = 1e-6  # m
 _NEARER = 0.999  # times as far off
 _PLACES = 16  # along an edge
 _FREE = 1.99  # wedge index of a plate's edge, and more
+_BESIDE = 0.03  # m: sound passes what is in the way of a ray by less
 _BLOCK = 64  # wedges that are tried against all others at a time
 #: Shares of both lengths at which rays go from one edge to another.
 _TRIED = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.25, 0.75], [0.75, 0.25]])
@@ -40,11 +41,14 @@ class MutualVisibility(NamedTuple):
 
 
 class Links(NamedTuple):
-    """What else there is to tell of pairs of wedges, by rows of `MutualVisibility`."""
+    """Pairs of parallel wedges that a face connects: rows start[e]:start[e + 1] are those of wedge e."""
 
-    strip: np.ndarray  # (n,) whether a face connects both
-    width: np.ndarray  # (n,) m, least distance between both
-    sense: np.ndarray  # (n,) 1 or -1 of parallel edges, by which they run alike or opposite; 0 of others
+    start: np.ndarray  # (E + 1,)
+    wedge: np.ndarray  # (n,) the other one, ascending
+    phi: np.ndarray  # (n, 2) as in `MutualVisibility`
+    reverse: np.ndarray  # (n,) the pair's other row
+    width: np.ndarray  # (n,) m, between both
+    sense: np.ndarray  # (n,) 1 or -1, by which they run alike or opposite
     shift: np.ndarray  # (n,) m: z along e of what is at z_f along f is sense * z_f + shift
 
 
@@ -78,35 +82,37 @@ def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
     return MutualVisibility(start, other, np.concatenate(angles), np.lexsort((wedge, other)))
 
 
-def _strip_rows(wedges: Wedges, mutual: MutualVisibility, width: np.ndarray) -> np.ndarray:
-    """(n,) which rows are of two parallel edges that a face connects: each lies in a face of the other, and no
-    other edge at which the face ends is between them, as where tables of one height stand in a row."""
+def _rows_of_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
+    """Rows of two parallel edges that a face connects: each lies in a face of the other, and no other edge at which
+    the face ends is between them, as where tables of one height stand in a row."""
     e = _wedge_of_row(mutual)
-    parallel = np.abs((wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)) > _PARALLEL
-    faces = _on_faces(wedges, mutual, width)
-    on_face = parallel & faces.any(axis=1)
-    on_face &= on_face[mutual.reverse]
-    rows = np.flatnonzero(on_face)
+    rows = np.flatnonzero(np.abs((wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)) > _PARALLEL)
+    linked = np.zeros(len(e), bool)
+    faces = _on_faces(wedges, mutual, rows, _least_distance(wedges, e[rows], mutual.wedge[rows]))
+    linked[rows] = faces.any(axis=1)
+    linked &= linked[mutual.reverse]
+    second, rows = faces[linked[rows], 1], rows[linked[rows]]
     far, ends = _across_and_along(wedges, e[rows], mutual.wedge[rows])
-    face = 2 * e[rows] + faces[rows, 1]
+    face = 2 * e[rows] + second
     order = np.lexsort((far, face))
     for group in np.split(order, np.flatnonzero(np.diff(face[order])) + 1):
         for n, m in enumerate(group):
             nearer = group[:n][far[group[:n]] < _NEARER * far[m]]
             if _covered(ends[nearer], ends[m], wedges.length[e[rows[m]]]) > 0.5:
-                on_face[rows[m]] = False
-    on_face &= on_face[mutual.reverse]
-    return np.asarray(on_face)
+                linked[rows[m]] = False
+    return np.flatnonzero(linked & linked[mutual.reverse])
 
 
 def find_links(wedges: Wedges, mutual: MutualVisibility) -> Links:
-    """Of the pairs of wedges that see each other."""
-    e, f = _wedge_of_row(mutual), mutual.wedge
-    cos = (wedges.along[e] * wedges.along[f]).sum(axis=1)
-    sense = np.where(np.abs(cos) > _PARALLEL, np.sign(cos), 0.0)
+    """Of the pairs of wedges that see each other those of one face."""
+    rows = _rows_of_faces(wedges, mutual)
+    e, f = _wedge_of_row(mutual)[rows], mutual.wedge[rows]
+    sense = np.sign((wedges.along[e] * wedges.along[f]).sum(axis=1))
     shift = ((wedges.start[f] - wedges.start[e]) * wedges.along[e]).sum(axis=1)
     width = np.maximum(_least_distance(wedges, e, f), _LEAST_WIDTH)
-    return Links(_strip_rows(wedges, mutual, width), width, sense, shift)
+    start = np.searchsorted(e, np.arange(len(wedges.length) + 1))
+    reverse = np.searchsorted(rows, mutual.reverse[rows])
+    return Links(start, f, mutual.phi[rows], reverse, width, sense, shift)
 
 
 def _least_distance(wedges: Wedges, e: np.ndarray, f: np.ndarray) -> np.ndarray:
@@ -128,13 +134,15 @@ def _wedge_of_row(mutual: MutualVisibility) -> np.ndarray:
     return np.repeat(np.arange(len(mutual.start) - 1), np.diff(mutual.start))
 
 
-def _on_faces(wedges: Wedges, mutual: MutualVisibility, width: np.ndarray) -> np.ndarray:
+def _on_faces(
+    wedges: Wedges, mutual: MutualVisibility, rows: np.ndarray, width: np.ndarray
+) -> np.ndarray:
     """(n, 2) whether the other edge of a row lies in the first face, and in the second, of its own."""
-    e = _wedge_of_row(mutual)
+    e = _wedge_of_row(mutual)[rows]
     sector = np.array([0.0, np.pi]) * wedges.n[e][:, None]
     clear = np.linalg.norm(wedges.offset, axis=1)
-    near = ON_FACE + OFF_LINE * (clear[e] + clear[mutual.wedge]) / width
-    off = np.abs(mutual.phi[:, None] - sector[:, :, None])
+    near = ON_FACE + OFF_LINE * (clear[e] + clear[mutual.wedge[rows]]) / np.maximum(width, _LEAST_WIDTH)
+    off = np.abs(mutual.phi[rows, None] - sector[:, :, None])
     return np.asarray((off < near[:, None, None]).all(axis=2))
 
 
@@ -184,20 +192,35 @@ def _may_shadow(phi: tuple[float, float], n: float) -> bool:
 
 
 @part
+def beside(geometry: Geometry, wedges: Wedges, e: int, at: Vec3) -> Vec3:
+    """A place off an edge, farther off by what no wave takes note of; the place itself if something is there."""
+    away = row(wedges.offset, e)
+    off = along(at, _BESIDE / max(length(away), _LEAST_WIDTH), away)
+    return off if unoccluded(geometry, at, off) else at
+
+
+@part
+def is_free(geometry: Geometry, wedges: Wedges, edges: tuple[int, int], at: tuple[Vec3, Vec3]) -> bool:
+    """Whether a ray goes between places off two edges. Of two free edges, rays on either side of what may be one
+    plate: those in it meet it or not as rounding has it."""
+    (a, b), (p, q) = edges, at
+    if unoccluded(geometry, p, q):
+        return True
+    if min(wedges.n[a], wedges.n[b]) > _FREE:
+        n, off = row(wedges.normal, a), geometry.epsilon
+        for side in (off, -off):
+            if unoccluded(geometry, along(p, side, n), along(q, side, n)):
+                return True
+    return unoccluded(geometry, beside(geometry, wedges, a, p), beside(geometry, wedges, b, q))
+
+
+@part
 def _see_each_other(geometry: Geometry, wedges: Wedges, a: int, b: int) -> bool:
-    """Whether a ray goes from wedge a to wedge b. Of two free edges, rays on either side of what may be one plate:
-    those in it meet it or not as rounding has it."""
-    free = min(wedges.n[a], wedges.n[b]) > _FREE
-    n, off = row(wedges.normal, a), geometry.epsilon
+    """Whether a ray goes from wedge a to wedge b."""
     for k in range(len(_TRIED)):
         p = clear_point(wedges, a, _TRIED[k, 0] * wedges.length[a])
         q = clear_point(wedges, b, _TRIED[k, 1] * wedges.length[b])
-        if unoccluded(geometry, p, q):
-            return True
-        if free and (
-            unoccluded(geometry, along(p, off, n), along(q, off, n))
-            or unoccluded(geometry, along(p, -off, n), along(q, -off, n))
-        ):
+        if is_free(geometry, wedges, (a, b), (p, q)):
             return True
     return False
 

@@ -23,8 +23,8 @@ from soundspaces_sim.transport.arrivals.images import (
     sees,
     signed_distance,
 )
-from soundspaces_sim.transport.arrivals.scene_edges import Edges
-from soundspaces_sim.transport.arrivals.two_edges import NEAR_SHADOW
+from soundspaces_sim.transport.arrivals.scene_edges import Edges, beside
+from soundspaces_sim.transport.arrivals.ways import Ways, find_ways
 from soundspaces_sim.transport.arrivals.wedges import (
     WedgeCoordinates,
     Wedges,
@@ -56,15 +56,11 @@ class Seen(NamedTuple):
     cos: np.ndarray  # (m,) of phi / n
     sin: np.ndarray  # (m,)
     link_start: np.ndarray  # (n + 1,)
-    link_split: (
-        np.ndarray
-    )  # (n,) before it are links of one face, from it on others, which images have not
-    link: np.ndarray  # (l,) rows of `MutualVisibility`, from a wedge that the end sees
+    link: np.ndarray  # (l,) rows of `Links`, from a wedge that the end sees
     link_row: np.ndarray  # (l,) row of that wedge above
     link_size: (
         np.ndarray
     )  # (l,) 1/m, square of (T30) towards the other wedge, times k and what distances make of it
-    link_shadow: np.ndarray  # (l,) whether the other wedge is partly in the shadow of that one
 
 
 class Sequences(NamedTuple):
@@ -86,6 +82,7 @@ class Sight(NamedTuple):
     ends: np.ndarray  # (N + 1,) first end of each point
     plane: np.ndarray  # (n,) of each end, -1 of a point itself
     seen: Seen
+    ways: Ways
 
 
 @part(forceinline=True)
@@ -199,7 +196,10 @@ def _try_ends(
             coordinates[i, e, 0], coordinates[i, e, 1], coordinates[i, e, 2] = c
             count = max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
             for k in range(count):
-                if sees(view, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
+                at = clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])
+                if sees(view, end, at) or (
+                    end.plane < 0 and sees(view, end, beside(view.geometry, wedges, e, at))
+                ):
                     seen[i, e] = True
                     break
 
@@ -214,39 +214,26 @@ def _cot_sum(n: float, minus: float, plus: float) -> float:
 
 
 @part
-def _towards(n: float, phi: float, low: float, high: float) -> tuple[float, bool]:
-    """(Most of the cotangents' sum from an end at phi to a wedge between two angles; whether part of that wedge is
-    in the shadow)."""
-    shadow = max(high - phi, phi - low) > math.pi - NEAR_SHADOW
+def _towards(n: float, phi: float, low: float, high: float) -> float:
+    """Most of the cotangents' sum from an end at phi to a wedge between two angles."""
     if (high - phi > math.pi > low - phi) or (phi - low > math.pi > phi - high):
-        return math.inf, True
-    return max(_cot_sum(n, low - phi, low + phi), _cot_sum(n, high - phi, high + phi)), shadow
+        return math.inf
+    return max(_cot_sum(n, low - phi, low + phi), _cot_sum(n, high - phi, high + phi))
 
 
 @kernel
-def _find_links(
-    first: int, last: int, edges: Edges, seen: Seen, plane: np.ndarray, count: np.ndarray, fill: bool
-) -> None:
-    """Counts (n,) of each end's links, of an image those of one face; with `fill` the links."""
-    mutual, links = edges.mutual, edges.links
+def _fill_links(first: int, last: int, edges: Edges, seen: Seen) -> None:
+    """The links of the edges that each end sees."""
+    links, wedges = edges.links, edges.wedges
     for i in range(first, last):
-        count[i] = 0
-        for strip in (True, False):
-            if not strip:
-                seen.link_split[i] = seen.link_start[i] + count[i]
-            for n in range(seen.start[i], seen.start[i + 1]):
-                e = seen.wedge[n]
-                for m in range(mutual.start[e], mutual.start[e + 1]):
-                    if links.strip[m] != strip or not (strip or plane[i] < 0):
-                        continue
-                    if fill:
-                        at = seen.link_start[i] + count[i]
-                        low, high = mutual.phi[m, 0], mutual.phi[m, 1]
-                        cot, shadow = _towards(edges.wedges.n[e], seen.phi[n], low, high)
-                        seen.link[at], seen.link_row[at] = m, n
-                        front = 8.0 * math.pi * edges.wedges.n[e] ** 2 * seen.r[n]
-                        seen.link_size[at], seen.link_shadow[at] = cot * cot / front, shadow
-                    count[i] += 1
+        at = seen.link_start[i]
+        for n in range(seen.start[i], seen.start[i + 1]):
+            e = seen.wedge[n]
+            for m in range(links.start[e], links.start[e + 1]):
+                cot = _towards(wedges.n[e], seen.phi[n], links.phi[m, 0], links.phi[m, 1])
+                seen.link[at], seen.link_row[at] = m, n
+                seen.link_size[at] = cot * cot / (8.0 * math.pi * wedges.n[e] ** 2 * seen.r[n])
+                at += 1
 
 
 def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -> Sight:
@@ -271,28 +258,23 @@ def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -
         places.append(coordinates[i, e])
     start = np.searchsorted(np.concatenate(rows), np.arange(len(plane) + 1))
     ends = np.searchsorted(own, np.arange(len(points) + 1))
-    seen = _with_links(edges, start, np.concatenate(found), np.concatenate(places), plane)
-    return Sight(points, keys, sequences, ends, plane, seen)
+    wedge, places = np.concatenate(found), np.concatenate(places)
+    seen = _with_links(edges, start, wedge, places)
+    own = np.flatnonzero(plane < 0)
+    begin, places = np.stack([start[own], start[own + 1]], axis=1), np.stack([seen.z, seen.phi], axis=1)
+    ways = find_ways(view, edges, points, begin, wedge, places)
+    return Sight(points, keys, sequences, ends, plane, seen, ways)
 
 
-def _with_links(
-    edges: Edges, start: np.ndarray, wedge: np.ndarray, places: np.ndarray, plane: np.ndarray
-) -> Seen:
+def _with_links(edges: Edges, start: np.ndarray, wedge: np.ndarray, places: np.ndarray) -> Seen:
     """What ends see of the edges, (m, 3) their coordinates about them, and the links from there."""
     z, r, phi = np.ascontiguousarray(places.T)
-    turn, none = phi / edges.wedges.n[wedge], np.empty(0, np.int32)
-    number, starts = np.zeros(len(plane), np.int64), np.zeros(len(plane) + 1, np.int64)
+    turn, links = phi / edges.wedges.n[wedge], edges.links
+    before = np.concatenate([[0], np.cumsum(np.diff(links.start)[wedge])])
+    count = before[-1]
     seen = Seen(
-        start, wedge, z, r, phi, np.cos(turn), np.sin(turn), starts, starts[1:].copy(), none, none,
-        np.empty(0, np.float32), np.empty(0, np.bool_),
+        start, wedge, z, r, phi, np.cos(turn), np.sin(turn), before[start], np.empty(count, np.int32),
+        np.empty(count, np.int32), np.empty(count, np.float32),
     )  # fmt: skip
-    over_rows(_find_links, len(plane), edges, seen, plane, number, False, least=_OF_THREAD)
-    starts[1:] = np.cumsum(number)
-    seen = seen._replace(
-        link=np.empty(starts[-1], np.int32),
-        link_row=np.empty(starts[-1], np.int32),
-        link_size=np.empty(starts[-1], np.float32),
-        link_shadow=np.empty(starts[-1], np.bool_),
-    )
-    over_rows(_find_links, len(plane), edges, seen, plane, number, True, least=_OF_THREAD)
+    over_rows(_fill_links, len(start) - 1, edges, seen, least=_OF_THREAD)
     return seen

@@ -17,6 +17,7 @@ from soundspaces_sim.transport.arrivals.scene_edges import Edges, find_links
 from soundspaces_sim.transport.arrivals.sight import Sight, find_sight
 from soundspaces_sim.transport.arrivals.specular_planes import plane_areas, plane_boxes
 from soundspaces_sim.transport.arrivals.waves import make_waves
+from soundspaces_sim.transport.arrivals.ways import make_way_scratch
 from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.technique import Technique
@@ -81,8 +82,9 @@ def connect(tile: Tile) -> PathTable:
             energy=np.empty(bands),
             heard=np.empty(bands),
             least=np.empty(bands),
-            link=np.full(len(edges.mutual.wedge), -1, np.int32),
+            link=np.full(len(edges.links.wedge), -1, np.int32),
             double=make_double_wedge_scratch(len(spectrum.node)),
+            way=make_way_scratch(),
         )
 
     paths = for_each_pair(tile, find_arrivals, context, tile.pairs, scratch, _ROOM)

@@ -1,13 +1,8 @@
-"""Paths by two edges: their geometry, and their field.
+"""Paths by two parallel edges of one face, as those of walls, jambs and furniture: their geometry, and their field.
 
-The path is the shortest one by way of both lines. Between parallel edges its field is exact (`double_wedge`, T34).
-Otherwise it is a product of two coefficients, that which deflects the path more with the whole path for its
-distances, the other with its own legs (Pierce 1974, Diffraction of sound around corners and over wide barriers,
-JASA 55 (5)); along a common face it is halved, for the face's image is in both coefficients.
-
-An end may be in the light of the edge that is farther from it: then the field adds to that of the path by one edge,
-and both together are continuous where it comes into the shadow.
-"""
+The path is the shortest one by way of both lines, and its field is exact (`double_wedge`, T34). An end may be in
+the light of the edge that is farther from it: then the field adds to that of the path by one edge, and both
+together are continuous where it comes into the shadow."""
 
 from __future__ import annotations
 
@@ -35,7 +30,6 @@ from soundspaces_sim.transport.arrivals.field import (
     of_end,
     terms_of,
 )
-from soundspaces_sim.transport.arrivals.shortest_path import shortest_path
 from soundspaces_sim.transport.arrivals.wedges import (
     BOUNDARY_OFFSET,
     ON_FACE,
@@ -45,14 +39,10 @@ from soundspaces_sim.transport.arrivals.wedges import (
     edge_point,
     line_coordinates,
     on_face,
-    parallel,
     wedge_coordinates,
 )
 
-_MIN_RADIUS = 1e-6  # m, of a point about a wedge
-NEAR_SHADOW = (
-    0.5  # rad, from the boundary of its shadow, up to which an end beside another body counts as in it
-)
+MIN_RADIUS = 1e-6  # m, of a point about a wedge
 _FALLS = 0.5  # of what is heard
 BEYOND = 0.2  # m, most detour by the end beyond which an apex lies
 
@@ -102,30 +92,13 @@ def _off_boundary(phi: float, towards: float, open_to: bool) -> tuple[bool, floa
 
 
 @part(forceinline=True)
-def _opens(phi: float, towards: float, sector: float) -> float:
-    """1; down to 0 where an end at `phi` comes to the plane of the face that sound from `towards` turns to, beyond
-    which more edges go on."""
-    depth = abs(phi - towards) - math.pi
-    if depth <= 0.0:
-        return 1.0
-    left = sector - phi if phi > towards else phi
-    return 1.0 - cosine_taper(max(left, 0.0) / depth)
-
-
-@part(forceinline=True)
-def _near_shadow(phi: float, towards: float) -> float:
-    """1 of an end in the shadow or near it; down to 0 in the light, `NEAR_SHADOW` from the boundary."""
-    return cosine_taper(2.0 * max((math.pi - abs(phi - towards)) / NEAR_SHADOW - 0.5, 0.0))
-
-
-@part(forceinline=True)
 def _no_path(e: int, f: int, p: Vec3, q: Vec3) -> TwoEdgePath:
     x = math.nan
     return TwoEdgePath(e, f, p, q, x, x, p, q, x, x, x, x, x, x, x, x, x, False, False, False, 0.0)
 
 
 @part(forceinline=True)
-def _snapped(phi: float, sector: float, near: float) -> float:
+def snapped(phi: float, sector: float, near: float) -> float:
     """The angle of a face for a point so `near` to it, rad, on whichever side."""
     if phi < near or phi > 2.0 * math.pi - near:
         return 0.0 if sector < 2.0 * math.pi - ON_FACE or phi < near else sector
@@ -138,7 +111,7 @@ def _on_a_face(phi: float, sector: float) -> bool:
 
 
 @part(forceinline=True)
-def _on_faces(phi: tuple[float, float], sectors: tuple[float, float]) -> bool:
+def on_faces(phi: tuple[float, float], sectors: tuple[float, float]) -> bool:
     """Whether the leg between two edges is on a face of both: its angles about them and their sectors, rad."""
     return _on_a_face(phi[0], sectors[0]) and _on_a_face(phi[1], sectors[1])
 
@@ -154,14 +127,14 @@ def face_normal(wedges: Wedges, e: int, phi: float) -> Vec3:
 
 
 @part
-def _on_one_side(
+def on_one_side(
     wedges: Wedges, edges: tuple[int, int], along: tuple[float, float], ends: tuple[float, float]
 ) -> tuple[float, float]:
     """Angles of the leg between two edges about both. A thin plate has both its faces in that direction: the leg is
     on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns."""
     sector_e, sector_f = math.pi * wedges.n[edges[0]], math.pi * wedges.n[edges[1]]
     plate_e, plate_f = sector_e > 2.0 * math.pi - ON_FACE, sector_f > 2.0 * math.pi - ON_FACE
-    if not ((plate_e or plate_f) and _on_faces(along, (sector_e, sector_f))):
+    if not ((plate_e or plate_f) and on_faces(along, (sector_e, sector_f))):
         return along
     best, least = along, math.inf
     for i in range(2):
@@ -177,38 +150,20 @@ def _on_one_side(
     return best
 
 
-@part(forceinline=True)
-def _detour(wedges: Wedges, e: int, z: float, p: Vec3, q: Vec3, straight: float) -> float:
-    """Of the way from p by z on an edge to q, over one of length `straight`, m."""
-    at = edge_point(wedges, e, z)
-    return max(distance(p, at) + distance(at, q) - straight, 0.0)
-
-
 @part
 def _detours_of_ends(
     wedges: Wedges, e: int, f: int, ends: tuple[Vec3, Vec3], at: tuple[Vec3, Vec3]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Of the ways from p to q by the ends of e, and by those of f, over the path that meets them `at` two places,
-    m. Parallel edges are in line once the way across them is unfolded; of others the place on the other stays."""
+    m. The edges are in line once the way across them is unfolded."""
     (p, q), (at_e, at_f) = ends, at
-    d_p, d_ef, d_q = distance(p, at_e), distance(at_e, at_f), distance(at_f, q)
-    if parallel(wedges, e, f):
-        (z_pe, r_p), (z_qe, _) = line_coordinates(wedges, e, p), line_coordinates(wedges, e, q)
-        (z_pf, _), (z_qf, r_q) = line_coordinates(wedges, f, p), line_coordinates(wedges, f, q)
-        w, total = line_coordinates(wedges, e, at_f)[1], d_p + d_ef + d_q
-        return (
-            detours_of_ends(wedges.length[e], (r_p, w + r_q), (z_pe, z_qe), total),
-            detours_of_ends(wedges.length[f], (r_p + w, r_q), (z_pf, z_qf), total),
-        )
+    (z_pe, r_p), (z_qe, _) = line_coordinates(wedges, e, p), line_coordinates(wedges, e, q)
+    (z_pf, _), (z_qf, r_q) = line_coordinates(wedges, f, p), line_coordinates(wedges, f, q)
+    total = distance(p, at_e) + distance(at_e, at_f) + distance(at_f, q)
+    w = line_coordinates(wedges, e, at_f)[1]
     return (
-        (
-            _detour(wedges, e, 0.0, p, at_f, d_p + d_ef),
-            _detour(wedges, e, wedges.length[e], p, at_f, d_p + d_ef),
-        ),
-        (
-            _detour(wedges, f, 0.0, at_e, q, d_ef + d_q),
-            _detour(wedges, f, wedges.length[f], at_e, q, d_ef + d_q),
-        ),
+        detours_of_ends(wedges.length[e], (r_p, w + r_q), (z_pe, z_qe), total),
+        detours_of_ends(wedges.length[f], (r_p + w, r_q), (z_pf, z_qf), total),
     )
 
 
@@ -240,12 +195,21 @@ def _taper(wedges: Wedges, e: int, apex: float, detours: tuple[float, float]) ->
 
 
 @part
+def shortest_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[float, float]:
+    """(z on edge e, z on edge f) m, of the shortest path by two parallel lines: straight once it is unfolded."""
+    z_p, r_p = line_coordinates(wedges, e, p)
+    r_q, w = line_coordinates(wedges, f, q)[1], line_coordinates(wedges, e, row(wedges.start, f))[1]
+    z_q = line_coordinates(wedges, e, q)[0]
+    step = (z_q - z_p) / max(r_p + w + r_q, MIN_RADIUS)
+    at_f = edge_point(wedges, e, z_p + step * (r_p + w))
+    return z_p + step * r_p, line_coordinates(wedges, f, at_f)[0]
+
+
+@part
 def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[bool, TwoEdgePath]:
     """The path; whether its apexes are on their edges or a little beyond, and its legs in the open sectors of both
     wedges."""
     z_e, z_f = shortest_path(wedges, e, f, p, q)
-    if not (abs(z_e) < math.inf and abs(z_f) < math.inf):
-        return False, _no_path(e, f, p, q)
     at_e, at_f, taper = edge_point(wedges, e, z_e), edge_point(wedges, f, z_f), 1.0
     if not (0.0 < z_e < wedges.length[e] and 0.0 < z_f < wedges.length[f]):
         by_e, by_f = _detours_of_ends(wedges, e, f, (p, q), (at_e, at_f))
@@ -255,18 +219,14 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
     p_e, f_e = wedge_coordinates(wedges, e, p), wedge_coordinates(wedges, e, at_f)
     q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, at_e)
     sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
-    near = on_face(wedges, e, f, max(min(f_e.r, e_f.r), _MIN_RADIUS))
-    along = _snapped(f_e.phi, sector_e, near), _snapped(e_f.phi, sector_f, near)
-    phi_f, phi_e = _on_one_side(wedges, (e, f), along, (p_e.phi, q_f.phi))
+    near = on_face(wedges, e, f, max(min(f_e.r, e_f.r), MIN_RADIUS))
+    along = snapped(f_e.phi, sector_e, near), snapped(e_f.phi, sector_f, near)
+    phi_f, phi_e = on_one_side(wedges, (e, f), along, (p_e.phi, q_f.phi))
     inside = max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
-    inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= _MIN_RADIUS
+    inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= MIN_RADIUS
     p_open = wedge_coordinates(wedges, f, p).phi <= sector_f
     q_open = wedge_coordinates(wedges, e, q).phi <= sector_e
-    if not parallel(wedges, e, f):
-        taper *= _opens(p_e.phi, phi_f, sector_e) * _opens(q_f.phi, phi_e, sector_f)
-    common = _on_faces((phi_f, phi_e), (sector_e, sector_f))
-    if not common:
-        taper *= _near_shadow(p_e.phi, phi_f) * _near_shadow(q_f.phi, phi_e)
+    common = on_faces((phi_f, phi_e), (sector_e, sector_f))
     lit_p, phi_p = _off_boundary(p_e.phi, phi_f, p_open)
     lit_q, phi_q = _off_boundary(q_f.phi, phi_e, q_open)
     return inside, TwoEdgePath(
@@ -314,10 +274,8 @@ def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
     f, sign_f = _ends_of(wedges, x.f, x.z_f, z_f, by_f)
     turn_e = max(x.d_p + x.d_ef - distance(x.p, x.at_f), 0.0)
     turn_f = max(x.d_ef + x.d_q - distance(x.at_e, x.q), 0.0)
-    both, coupled = max(turn_e + turn_f, _MIN_RADIUS**2), 0.0
-    if parallel(wedges, x.e, x.f):
-        w = line_coordinates(wedges, x.e, x.at_f)[1]
-        coupled = 2.0 / math.pi * math.asin(math.sqrt(x.r_p * x.r_q / ((x.r_p + w) * (w + x.r_q))))
+    both, w = max(turn_e + turn_f, MIN_RADIUS**2), line_coordinates(wedges, x.e, x.at_f)[1]
+    coupled = 2.0 / math.pi * math.asin(math.sqrt(x.r_p * x.r_q / ((x.r_p + w) * (w + x.r_q))))
     together = 1.0 - (1.0 - coupled) * 4.0 * turn_e * turn_f / (both * both)
     boundary = max(path_length(x) - distance(x.p, x.q), 0.0)
     return _Shares(e, f, sign_e, sign_f, boundary, turn_e / both, turn_f / both, together)
@@ -349,20 +307,16 @@ def two_edge_field(
 ) -> bool:
     """Field of a path, 1/m, into `field` (b, g), without the phase of its length; at most twice the free field.
     Whether it has at least `least` (b,) of |p|² in some band; it falls with frequency, so the lowest band tells."""
-    shares, total, exact = _shares(wedges, x), path_length(x), parallel(wedges, x.e, x.f)
+    shares, total = _shares(wedges, x), path_length(x)
     ends, wave, weight = _across(wedges, x), scratch.wave, math.sqrt(x.taper)
     across, known, loud = ends.p_e + ends.w + ends.q_f, 0, False
-    if exact:
-        _set_ends(wedges, x, ends, scratch)
+    _set_ends(wedges, x, ends, scratch)
     for b in range(field.shape[0]):
         first, count = spectrum.first[b], spectrum.between.shape[2]
         while known < first + count:
             k = spectrum.node[known]
-            if exact:
-                u = double_wedge_field(ends, k * across / total, scratch)
-                wave[known] = u * math.sqrt(across) / total
-            else:
-                wave[known] = _product_field(wedges, x, k)
+            u = double_wedge_field(ends, k * across / total, scratch)
+            wave[known] = u * math.sqrt(across) / total
             if known == 0 and _is_faint(wave[0] * weight * _share(shares, k), least[0]):
                 return False
             known += 1
@@ -404,7 +358,7 @@ def _across(wedges: Wedges, x: TwoEdgePath) -> Ends:
 
 
 @part(forceinline=True)
-def _sense(wedges: Wedges, e: int, axis: Vec3) -> float:
+def sense_of(wedges: Wedges, e: int, axis: Vec3) -> float:
     """1 where phi about an edge grows counterclockwise about an axis, else -1."""
     return math.copysign(1.0, dot(cross(row(wedges.face, e), row(wedges.normal, e)), axis))
 
@@ -413,7 +367,7 @@ def _sense(wedges: Wedges, e: int, axis: Vec3) -> float:
 def _set_ends(wedges: Wedges, x: TwoEdgePath, ends: Ends, scratch: DoubleWedgeScratch) -> None:
     """The terms of both ends about both edges."""
     axis = row(wedges.along, x.e)
-    sense_e, sense_f = _sense(wedges, x.e, axis), _sense(wedges, x.f, axis)
+    sense_e, sense_f = sense_of(wedges, x.e, axis), sense_of(wedges, x.f, axis)
     set_terms(ends.n_e, x.phi_p, x.phi_f, sense_e, x.common, scratch.p_e)
     set_terms(ends.n_f, x.phi_q, x.phi_e, sense_f, x.common, scratch.q_f)
     if not x.common:
@@ -438,7 +392,9 @@ def _coefficient(
 
 @part
 def _product_field(wedges: Wedges, x: TwoEdgePath, k: float) -> complex:
-    """The field of edges that are not parallel and have no ends."""
+    """The product of two coefficients, within some dB of the field (Pierce 1974, Diffraction of sound around
+    corners and over wide barriers, JASA 55 (5)): that which deflects the path more has all of it for its
+    distances."""
     about_e, about_f = (x.phi_p, x.phi_f), (x.phi_e, x.phi_q)
     beyond_e, beyond_f = abs(x.phi_f - x.phi_p) - math.pi, abs(x.phi_q - x.phi_e) - math.pi
     if beyond_e * x.r_p >= beyond_f * x.r_q:

@@ -1,0 +1,611 @@
+"""The shortest ways round edges, however many: first arrivals of points far out of sight of each other.
+
+A point's ways are found once for all its pairs, as navigation meshes and visibility graphs do it: edges that see
+each other are the nodes (`scene_edges`), and the shortest way to each goes on from the shortest way to another one.
+From the last edge that the other point sees, the way goes straight. Rays have found every leg free.
+
+A way by m edges is pulled taut (every edge in turn has its shortest path between the places before and after), and
+its field is Pierce's product for any number of edges, as Deygout orders them (1966, Multiple knife-edge
+diffraction of microwaves, IEEE Trans. AP 14 (4)): the edge that turns the sound most has the whole way for its
+distances, the next one its part of the way up to that edge, and so on,
+
+    P = 1 / l * product over i of (a_i + b_i) D_i(phi, phi'; a_i, b_i).                                     (T34e)
+
+Two parallel edges of one face, as those of a wall, are one factor, which is exact (T34).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, dot, length, row, subtract
+from soundspaces_sim.scene.rays.geometry import unoccluded
+from soundspaces_sim.transport.arrivals.complex_directions import set_terms
+from soundspaces_sim.transport.arrivals.double_wedge import (
+    DoubleWedgeScratch,
+    Ends,
+    double_wedge_field,
+)
+from soundspaces_sim.transport.arrivals.field import (
+    EdgePath,
+    Spectrum,
+    beyond_end,
+    detours_of_ends,
+    field_at,
+    front_of,
+    of_end,
+    terms_of,
+)
+from soundspaces_sim.transport.arrivals.images import View
+from soundspaces_sim.transport.arrivals.scene_edges import Edges, beside, is_free
+from soundspaces_sim.transport.arrivals.two_edges import (
+    MIN_RADIUS,
+    on_faces,
+    on_one_side,
+    sense_of,
+)
+from soundspaces_sim.transport.arrivals.wedges import (
+    BOUNDARY_OFFSET,
+    ON_FACE,
+    Wedges,
+    clear_point,
+    cosine_taper,
+    edge_point,
+    line_coordinates,
+    met_point,
+    parallel,
+    wedge_coordinates,
+)
+
+MOST_EDGES = 6  # of a way: five doors of a clean mesh turn the sound away for good
+TRIED = 4  # ways to a point, by different last edges
+_LONGER = 1.0  # m, than the shortest way, up to which others are tried
+_SHORTER = 1e-3  # m, by which a way must be, to be another
+_PLACES = 5  # of an edge that are tried where its nearest place is not seen
+_SWEEPS = 12  # by which a way is pulled taut
+_ALONG = 0.25  # rad, from a face, along which a way goes, or from an edge's light
+_NEAR_SHADOW = 0.5  # rad, from the boundary of its shadow, up to which an end counts as in it
+_FALLS = 0.5  # of what is heard
+
+
+class Ways(NamedTuple):
+    """The shortest ways from N points to E edges; infinite where there is none."""
+
+    length: np.ndarray  # (N, E) m
+    before: np.ndarray  # (N, E) the edge before, -1: the point sees this one
+    z: np.ndarray  # (N, E) m, place on the edge
+    phi: np.ndarray  # (N, E) rad, about the edge, from where the way comes
+    round: np.ndarray  # (N, E) edges before it when it was found
+
+
+class WayScratch(NamedTuple):
+    """What a thread works in: ways that are tried, and the one at hand, from p by m edges to q."""
+
+    total: np.ndarray  # (TRIED,) m, of what is tried
+    last: np.ndarray  # (TRIED,) edge that the other point sees
+    done: np.ndarray  # (2 TRIED, MOST_EDGES) edges of the ways that are solved, from p
+    edge: np.ndarray  # (MOST_EDGES,)
+    z: np.ndarray  # (MOST_EDGES,) m
+    found: np.ndarray  # (MOST_EDGES,) m, where rays have found the way free
+    leg: np.ndarray  # (MOST_EDGES + 1,) m
+    angle: np.ndarray  # (MOST_EDGES, 2) rad, about each edge, of the places before and after
+    sine: np.ndarray  # (MOST_EDGES,) of the angle between the way and the edge
+    common: np.ndarray  # (MOST_EDGES,) a face connects this edge with the next one
+    unit: np.ndarray  # (MOST_EDGES,) edges of the factor that begins here: 1, 2; 0: it began one before
+    size: np.ndarray  # (MOST_EDGES,) how much a factor matters
+    set: np.ndarray  # (MOST_EDGES,) whether its factor is there
+
+
+def make_way_scratch() -> WayScratch:
+    """Empty."""
+    m = MOST_EDGES
+    return WayScratch(
+        total=np.empty(TRIED),
+        last=np.empty(TRIED, np.int64),
+        done=np.empty((2 * TRIED, m), np.int64),
+        edge=np.empty(m, np.int64),
+        z=np.empty(m),
+        found=np.empty(m),
+        leg=np.empty(m + 1),
+        angle=np.empty((m, 2)),
+        sine=np.empty(m),
+        common=np.empty(m, np.bool_),
+        unit=np.empty(m, np.int64),
+        size=np.empty(m),
+        set=np.empty(m, np.bool_),
+    )
+
+
+# Of a point
+
+
+@part
+def reaches(view: View, wedges: Wedges, p: Vec3, e: int, at: Vec3) -> bool:
+    """Whether sound gets from a point to a place off an edge."""
+    geometry = view.geometry
+    return unoccluded(geometry, p, at) or unoccluded(geometry, p, beside(geometry, wedges, e, at))
+
+
+@part
+def _seen_place(view: View, wedges: Wedges, e: int, p: Vec3, z: float) -> float:
+    """The place of an edge, m, that a point sees: the nearest one, or of some along it that which is nearest."""
+    far, best = wedges.length[e], math.nan
+    if reaches(view, wedges, p, e, met_point(wedges, e, z)):
+        return min(max(z, 0.0), far)
+    for k in range(_PLACES):
+        tried = (k + 0.5) / _PLACES * far
+        nearer = not abs(best - z) <= abs(tried - z)
+        if nearer and reaches(view, wedges, p, e, clear_point(wedges, e, tried)):
+            best = tried
+    return best
+
+
+@kernel
+def _find_ways(
+    first: int,
+    last: int,
+    view: View,
+    edges: Edges,
+    points: np.ndarray,
+    rows: np.ndarray,
+    seen: np.ndarray,
+    at: np.ndarray,
+    ways: Ways,
+) -> None:
+    """Ways of points, whose edges in sight are rows[i, 0] to rows[i, 1] of `seen`, their places and angles `at`."""
+    wedges, mutual = edges.wedges, edges.mutual
+    for i in range(first, last):
+        p = row(points, i)
+        for e in range(len(wedges.length)):
+            ways.length[i, e], ways.before[i, e], ways.round[i, e] = math.inf, -1, -1
+        for n in range(rows[i, 0], rows[i, 1]):
+            e = seen[n]
+            z = _seen_place(view, wedges, e, p, at[n, 0])
+            if z >= 0.0:
+                ways.length[i, e], ways.round[i, e] = distance(p, edge_point(wedges, e, z)), 0
+                ways.z[i, e], ways.phi[i, e] = z, at[n, 1]
+        for done in range(1, MOST_EDGES):
+            for e in range(len(wedges.length)):
+                if ways.round[i, e] != done - 1:
+                    continue
+                place = edge_point(wedges, e, ways.z[i, e])
+                for m in range(mutual.start[e], mutual.start[e + 1]):
+                    f = mutual.wedge[m]
+                    z = dot(subtract(place, row(wedges.start, f)), row(wedges.along, f))
+                    z = min(max(z, 0.0), wedges.length[f])
+                    way = ways.length[i, e] + distance(place, edge_point(wedges, f, z))
+                    if way > ways.length[i, f] - _SHORTER:
+                        continue
+                    if not is_free(
+                        view.geometry,
+                        wedges,
+                        (e, f),
+                        (met_point(wedges, e, ways.z[i, e]), met_point(wedges, f, z)),
+                    ):
+                        continue
+                    ways.length[i, f], ways.before[i, f], ways.z[i, f] = way, e, z
+                    ways.phi[i, f], ways.round[i, f] = wedge_coordinates(wedges, f, place).phi, done
+
+
+def find_ways(
+    view: View, edges: Edges, points: np.ndarray, rows: np.ndarray, seen: np.ndarray, at: np.ndarray
+) -> Ways:
+    """The ways from points (N, 3) m to all edges; arguments as those of `_find_ways`."""
+    shape = len(points), len(edges.wedges.length)
+    ways = Ways(
+        np.empty(shape, np.float32), np.empty(shape, np.int32), np.zeros(shape, np.float32),
+        np.zeros(shape, np.float32), np.empty(shape, np.int8),
+    )  # fmt: skip
+    over_rows(_find_ways, len(points), view, edges, points, rows, seen, at, ways, chunk=1)
+    return ways
+
+
+# Of a pair
+
+
+@part(forceinline=True)
+def _near_shadow(phi: float, towards: float) -> float:
+    """1 of an end in the shadow or near it; down to 0 in the light, `_NEAR_SHADOW` from the boundary."""
+    return cosine_taper(2.0 * max((math.pi - abs(phi - towards)) / _NEAR_SHADOW - 0.5, 0.0))
+
+
+@part
+def choose_ways(
+    wedges: Wedges,
+    ways: Ways,
+    i: int,
+    rows: tuple[int, int],
+    wedge: np.ndarray,
+    phi: np.ndarray,
+    q: Vec3,
+    scratch: WayScratch,
+) -> int:
+    """The shortest ways from point i to q by its last edges, rows of `wedge`, q at `phi` about them: into `total`
+    and `last`, the shortest first; how many."""
+    count, total, last = 0, scratch.total, scratch.last
+    for n in range(rows[0], rows[1]):
+        e = wedge[n]
+        if ways.before[i, e] < 0 or _near_shadow(phi[n], ways.phi[i, e]) <= 0.0:
+            continue
+        way = ways.length[i, e] + distance(edge_point(wedges, e, ways.z[i, e]), q)
+        k = count
+        while k > 0 and total[k - 1] > way:
+            if k < TRIED:
+                total[k], last[k] = total[k - 1], last[k - 1]
+            k -= 1
+        if k < TRIED:
+            total[k], last[k] = way, e
+            count = min(count + 1, TRIED)
+    while count > 0 and total[count - 1] > total[0] + _LONGER:
+        count -= 1
+    return count
+
+
+@part
+def set_way(ways: Ways, i: int, last: int, reverse: bool, scratch: WayScratch) -> int:
+    """The way of point i to an edge, into `edge` and `found`; `reverse`: from there. How many edges it has, 0 for
+    one of too many."""
+    count, e = 0, last
+    while e >= 0:
+        if count == MOST_EDGES:
+            return 0
+        scratch.edge[count], scratch.found[count] = e, ways.z[i, e]
+        count, e = count + 1, ways.before[i, e]
+    if not reverse:
+        for n in range(count // 2):
+            m = count - 1 - n
+            scratch.edge[n], scratch.edge[m] = scratch.edge[m], scratch.edge[n]
+            scratch.found[n], scratch.found[m] = scratch.found[m], scratch.found[n]
+    return count
+
+
+@part
+def is_new(count: int, solved: int, scratch: WayScratch) -> bool:
+    """Whether the way at hand is none of those solved; it is then row `solved` of them."""
+    for k in range(solved):
+        same = count == MOST_EDGES or scratch.done[k, count] < 0
+        for n in range(count):
+            same &= scratch.done[k, n] == scratch.edge[n]
+        if same:
+            return False
+    for n in range(MOST_EDGES):
+        scratch.done[solved, n] = scratch.edge[n] if n < count else -1
+    return True
+
+
+@part
+def _place(wedges: Wedges, scratch: WayScratch, n: int, count: int, p: Vec3, q: Vec3) -> Vec3:
+    """Where the way is at its edge n; p before the first and q after the last."""
+    if n < 0:
+        return p
+    return q if n >= count else edge_point(wedges, scratch.edge[n], scratch.z[n])
+
+
+@part(forceinline=True)
+def _keller(wedges: Wedges, e: int, p: Vec3, q: Vec3) -> float:
+    """z of the shortest path between two points by way of a line."""
+    (z_p, r_p), (z_q, r_q) = line_coordinates(wedges, e, p), line_coordinates(wedges, e, q)
+    return z_p + (z_q - z_p) * r_p / max(r_p + r_q, MIN_RADIUS)
+
+
+@part
+def _pull_taut(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> None:
+    for _ in range(_SWEEPS):
+        for n in range(count):
+            e = scratch.edge[n]
+            before = _place(wedges, scratch, n - 1, count, p, q)
+            z = _keller(wedges, e, before, _place(wedges, scratch, n + 1, count, p, q))
+            scratch.z[n] = min(max(z, 0.0), wedges.length[e])
+
+
+@part
+def _all_free(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> bool:
+    edge, z = scratch.edge, scratch.z
+    at = met_point(wedges, edge[0], z[0])
+    if not reaches(view, wedges, p, edge[0], at):
+        return False
+    for n in range(1, count):
+        to = met_point(wedges, edge[n], z[n])
+        if not is_free(view.geometry, wedges, (edge[n - 1], edge[n]), (at, to)):
+            return False
+        at = to
+    return reaches(view, wedges, q, edge[count - 1], at)
+
+
+@part
+def _leave_out(n: int, count: int, scratch: WayScratch) -> None:
+    for m in range(n, count - 1):
+        scratch.edge[m], scratch.found[m] = scratch.edge[m + 1], scratch.found[m + 1]
+
+
+@part
+def _insert(n: int, count: int, e: int, z: float, scratch: WayScratch) -> None:
+    for m in range(count, n, -1):
+        scratch.edge[m], scratch.z[m] = scratch.edge[m - 1], scratch.z[m - 1]
+    scratch.edge[n], scratch.z[n] = e, z
+
+
+@part
+def _measure(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> tuple[bool, float]:
+    """Legs and angles of the way at hand: (whether it has any, its length, m)."""
+    total = 0.0
+    for n in range(count + 1):
+        at = _place(wedges, scratch, n, count, p, q)
+        scratch.leg[n] = distance(_place(wedges, scratch, n - 1, count, p, q), at)
+        total += scratch.leg[n]
+    return _set_angles(wedges, count, p, q, scratch), total
+
+
+@part
+def solve_way(
+    view: View, edges: Edges, count: int, p: Vec3, q: Vec3, scratch: WayScratch
+) -> tuple[int, float]:
+    """Pull the way at hand taut, or leave it as rays have found it; leave out edges in whose light it passes, and
+    add those of narrow faces along which it goes: (how many edges it has, its length, m); 0 if something is in the
+    way."""
+    wedges, ok, total = edges.wedges, False, math.inf
+    while count > 0:
+        for n in range(count):
+            scratch.z[n] = scratch.found[n]
+        _pull_taut(wedges, count, p, q, scratch)
+        if not _all_free(view, wedges, count, p, q, scratch):
+            for n in range(count):
+                scratch.z[n] = scratch.found[n]
+            if not _all_free(view, wedges, count, p, q, scratch):
+                return 0, math.inf
+        ok, total = _measure(wedges, count, p, q, scratch)
+        slack = _slack(view, wedges, count, scratch)
+        if not ok or slack < 0:
+            break
+        _leave_out(slack, count, scratch)
+        count -= 1
+    before = count
+    for n in range(MOST_EDGES - 1):
+        if ok and n < count - 1:
+            count = _add_face(edges, n, count, p, q, scratch)
+    if count > before:
+        _pull_taut(wedges, count, p, q, scratch)
+        ok, total = _measure(wedges, count, p, q, scratch)
+    return count if ok else 0, total
+
+
+@part
+def _slack(view: View, wedges: Wedges, count: int, scratch: WayScratch) -> int:
+    """An edge, but for the first and the last one, in whose light the way passes, and without which it is free; -1
+    for none."""
+    edge, z = scratch.edge, scratch.z
+    for n in range(1, count - 1):
+        if abs(scratch.angle[n, 1] - scratch.angle[n, 0]) > math.pi - _ALONG:
+            continue
+        at, to = met_point(wedges, edge[n - 1], z[n - 1]), met_point(wedges, edge[n + 1], z[n + 1])
+        if is_free(view.geometry, wedges, (edge[n - 1], edge[n + 1]), (at, to)):
+            return n
+    return -1
+
+
+@part
+def _add_face(edges: Edges, n: int, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
+    """Add the other edge of a face along which the way leaves its edge n or comes to the next one, where that face
+    ends on the way: how many edges it then has."""
+    wedges, links, edge = edges.wedges, edges.links, scratch.edge
+    for end in range(2):
+        e, other = (edge[n], edge[n + 1]) if end == 0 else (edge[n + 1], edge[n])
+        own, to = (
+            _place(wedges, scratch, n + end, count, p, q),
+            _place(wedges, scratch, n + 1 - end, count, p, q),
+        )
+        phi, sector, leg = wedge_coordinates(wedges, e, to).phi, math.pi * wedges.n[e], distance(own, to)
+        face = 0 if phi < 0.5 * sector or phi > 0.5 * sector + math.pi else 1
+        off = abs(phi - sector) if face == 1 else min(phi, 2.0 * math.pi - phi)
+        if off > _ALONG or count == MOST_EDGES:
+            continue
+        for m in range(links.start[e], links.start[e + 1]):
+            f, far = links.wedge[m], links.width[m] / leg
+            if (links.phi[m, 0] > 0.5 * sector) != (face == 1) or f == other or far > 1.0:
+                continue
+            at = along(own, far, subtract(to, own))
+            z = dot(subtract(at, row(wedges.start, f)), row(wedges.along, f))
+            if 0.0 < z < wedges.length[f]:
+                _insert(n + 1, count, f, z, scratch)
+                return count + 1
+    return count
+
+
+@part(forceinline=True)
+def _in_sector(phi: float, sector: float, near: float) -> float:
+    """An angle about an edge of what rays have found: of its face, if it is near to that, or behind it."""
+    if phi < near or phi > 0.5 * sector + math.pi:
+        return 0.0
+    return sector if phi > sector - near else phi
+
+
+@part
+def _set_angles(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> bool:
+    """Angles of the way about its edges; False where it begins or ends on one."""
+    edge, angle = scratch.edge, scratch.angle
+    for n in range(count):
+        e, sector, off = edge[n], math.pi * wedges.n[edge[n]], length(row(wedges.offset, edge[n]))
+        before = wedge_coordinates(wedges, e, _place(wedges, scratch, n - 1, count, p, q))
+        after = wedge_coordinates(wedges, e, _place(wedges, scratch, n + 1, count, p, q))
+        if min(before.r, after.r) < MIN_RADIUS:
+            return False
+        scratch.sine[n] = min((before.r + after.r) / (scratch.leg[n] + scratch.leg[n + 1]), 1.0)
+        near_p = near_q = 0.0
+        if n > 0:
+            near_p = ON_FACE + (off + length(row(wedges.offset, edge[n - 1]))) / before.r
+        if n < count - 1:
+            near_q = ON_FACE + (off + length(row(wedges.offset, edge[n + 1]))) / after.r
+        angle[n, 0] = _in_sector(before.phi, sector, near_p)
+        angle[n, 1] = _in_sector(after.phi, sector, near_q)
+    for n in range(count - 1):
+        e, f = edge[n], edge[n + 1]
+        leg = on_one_side(wedges, (e, f), (angle[n, 1], angle[n + 1, 0]), (angle[n, 0], angle[n + 1, 1]))
+        angle[n, 1], angle[n + 1, 0] = leg
+        scratch.common[n] = on_faces(leg, (math.pi * wedges.n[e], math.pi * wedges.n[f]))
+    scratch.common[count - 1] = False
+    return True
+
+
+@part
+def _set_units(wedges: Wedges, count: int, scratch: WayScratch) -> None:
+    """Which edges are one factor, and how much each factor matters: the square of its turn beyond the boundary of
+    its shadow, times what both parts of the way make of it."""
+    n = 0
+    while n < count:
+        both = n + 1 < count and scratch.common[n]
+        both = both and parallel(wedges, scratch.edge[n], scratch.edge[n + 1])
+        scratch.unit[n] = 2 if both else 1
+        if both:
+            scratch.unit[n + 1] = 0
+        n += scratch.unit[n]
+    for n in range(count):
+        before = after = turn = 0.0
+        for m in range(count + 1):
+            if m <= n:
+                before += scratch.leg[m]
+            elif m >= n + scratch.unit[n]:
+                after += scratch.leg[m]
+        for m in range(n, n + scratch.unit[n]):
+            turn += max(abs(scratch.angle[m, 1] - scratch.angle[m, 0]) - math.pi, 0.0)
+        scratch.size[n] = turn * turn * before * after / (before + after)
+        scratch.set[n] = False
+
+
+@part
+def _legs_of(count: int, n: int, scratch: WayScratch) -> tuple[float, float]:
+    """Lengths of the way before a factor and after it, up to the next ones that are there."""
+    before, m = scratch.leg[n], n - 1
+    while m >= 0 and not scratch.set[m]:
+        before += scratch.leg[m]
+        m -= 1
+    m = n + scratch.unit[n]
+    after = scratch.leg[m]
+    while m < count and not scratch.set[m]:
+        m += 1
+        after += scratch.leg[m]
+    return before, after
+
+
+@part(forceinline=True)
+def _beyond(phi: float, towards: float) -> float:
+    """An angle that is not in the light of what is at `towards`."""
+    return towards + math.copysign(max(abs(phi - towards), math.pi + BOUNDARY_OFFSET), phi - towards)
+
+
+@part
+def _multiply(
+    wedges: Wedges,
+    count: int,
+    n: int,
+    spectrum: Spectrum,
+    scratch: WayScratch,
+    double: DoubleWedgeScratch,
+) -> None:
+    """Multiply the wave by a factor."""
+    (before, after), angle, e = _legs_of(count, n, scratch), scratch.angle, scratch.edge[n]
+    half = 0.5 if scratch.common[n] else 1.0
+    if scratch.unit[n] == 2:
+        f, sine, axis = scratch.edge[n + 1], scratch.sine[n], row(wedges.along, e)
+        w = scratch.leg[n + 1] * sine
+        ends = Ends(wedges.n[e], wedges.n[f], before * sine, after * sine, 0.0, 0.0, w, True)
+        first = angle[n, 0] if n == 0 else _beyond(angle[n, 0], angle[n, 1])
+        last = angle[n + 1, 1] if n + 2 == count else _beyond(angle[n + 1, 1], angle[n + 1, 0])
+        set_terms(wedges.n[e], first, angle[n, 1], sense_of(wedges, e, axis), True, double.p_e)
+        set_terms(wedges.n[f], last, angle[n + 1, 0], sense_of(wedges, f, axis), True, double.q_f)
+        root = math.sqrt((before + after) * sine + w)
+        half = 0.5 if scratch.common[n + 1] else 1.0
+        for m in range(len(spectrum.node)):
+            double.wave[m] *= half * root * double_wedge_field(ends, spectrum.node[m] * sine, double)
+        return
+    turn = abs(angle[n, 1] - angle[n, 0])
+    passes = 1.0 if 0 < n < count - 1 and turn < math.pi else 0.0
+    plus, on = angle[n, 0] + angle[n, 1], math.inf
+    other = 2.0 * math.pi * wedges.n[e] - plus
+    path = EdgePath(
+        wedges.n[e], turn, plus, other, before, after, scratch.sine[n], 0.5, 1.0, on, on, 1.0
+    )
+    front = front_of(path, terms_of(path))
+    for m in range(len(spectrum.node)):
+        turned = half * (before + after) * field_at(path, front, spectrum.node[m], (1.0, 1.0))
+        double.wave[m] *= passes + turned
+
+
+@part
+def _narrowest(
+    wedges: Wedges, count: int, p: Vec3, q: Vec3, total: float, scratch: WayScratch
+) -> tuple[float, float]:
+    """Detours by the ends of the edge whose end is nearest to the way, the rest of which is unfolded, m."""
+    least, found, before = math.inf, (math.inf, math.inf), 0.0
+    for n in range(count):
+        before += scratch.leg[n]
+        e, z, sine, after = scratch.edge[n], scratch.z[n], scratch.sine[n], total - before
+        rises = _place(wedges, scratch, n + 1, count, p, q)
+        across = (
+            dot(subtract(rises, edge_point(wedges, e, z)), row(wedges.along, e)) / scratch.leg[n + 1]
+        )
+        ends = z - before * across, z + after * across
+        both = detours_of_ends(wedges.length[e], (before * sine, after * sine), ends, total)
+        by = (
+            math.inf if wedges.stands[e, 0] and min(ends) > 0.0 else both[0],
+            math.inf if wedges.stands[e, 1] and max(ends) < wedges.length[e] else both[1],
+        )
+        if min(by) < least:
+            least, found = min(by), by
+    return found
+
+
+@part
+def way_field(
+    wedges: Wedges,
+    count: int,
+    p: Vec3,
+    q: Vec3,
+    total: float,
+    spectrum: Spectrum,
+    least: np.ndarray,
+    scratch: WayScratch,
+    double: DoubleWedgeScratch,
+    field: np.ndarray,
+) -> bool:
+    """(T34e) of the way at hand, of this length, 1/m, into `field` (b, g), without the phase of its length. Whether
+    it has at least `least` (b,) of |p|² in some band."""
+    _set_units(wedges, count, scratch)
+    for m in range(len(spectrum.node)):
+        double.wave[m] = 1.0 / total
+    for _ in range(count):
+        chosen, most = -1, -1.0
+        for n in range(count):
+            if scratch.unit[n] > 0 and not scratch.set[n] and scratch.size[n] > most:
+                chosen, most = n, scratch.size[n]
+        if chosen < 0:
+            break
+        _multiply(wedges, count, chosen, spectrum, scratch, double)
+        scratch.set[chosen] = True
+        if scratch.unit[chosen] == 2:
+            scratch.set[chosen + 1] = True
+    angle = scratch.angle
+    weight = _near_shadow(angle[0, 0], angle[0, 1]) * _near_shadow(
+        angle[count - 1, 1], angle[count - 1, 0]
+    )
+    weight = math.sqrt(weight)
+    start, end = _narrowest(wedges, count, p, q, total, scratch)
+    boundary, loud = max(total - distance(p, q), 0.0), False
+    for b in range(field.shape[0]):
+        first, number = spectrum.first[b], spectrum.between.shape[2]
+        for g in range(field.shape[1]):
+            k, u = spectrum.k[b, g], 0j
+            for n in range(number):
+                u += spectrum.between[b, g, n] * double.wave[first + n]
+            share = of_end(beyond_end(k, start), start, boundary) + of_end(
+                beyond_end(k, end), end, boundary
+            )
+            field[b, g] = 0.5 * weight * share * u
+        own = field[b, 0].real ** 2 + field[b, 0].imag ** 2
+        loud = loud or own > least[b]
+        if not loud and own < _FALLS * least[b]:
+            return False
+    return loud
