@@ -132,7 +132,9 @@ rooms should be tested in real rooms. Uses that it should not be put to: {MAKER}
 
 def _edges(m: Manifest) -> str:
     if m.config.simulation.diffraction.enabled:
-        return "Diffraction is that of the uniform theory, for rigid edges, by the shortest way round any number of them."
+        return (
+            "Diffraction is that of the uniform theory, for rigid edges: one, two, or a way round many."
+        )
     return "Diffraction round edges was turned off."
 
 

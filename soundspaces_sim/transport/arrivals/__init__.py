@@ -18,10 +18,10 @@ image; what follows takes ends alike.
 A pair (`connect`, the one kernel), in four steps:
 
  1. Candidates. Tables of both ends are joined by wedge, or by two wedges of one face. What one of them may have at
-    most is estimated from the tables (T35), and what nobody hears beside the rest goes no further. Points that do not
-    see each other also have the ways of either to the wedges that the other one sees.
- 2. Geometry. Images by unfolding (`images`, `mirrors`); Keller's cone on one edge; the shortest path by two parallel
-    lines (`two_edges`); ways are pulled taut. Rays decide what is there.
+    most is estimated from the tables (T35), and what nobody hears beside the rest goes no further. Points that do
+    not see each other also have the ways of either to the wedges that the other one sees.
+ 2. Geometry. Images by unfolding (`images`, `mirrors`); Keller's cone on one edge; the shortest path by two
+    parallel lines (`two_edges`); ways are pulled taut. Rays decide what is there.
  3. Field. sqrt(rho (1 - s)) for every plane, (T29a). One edge: the uniform theory of diffraction,
         P ~ sum over Theta, ± of cot((pi ± Theta) / 2n) F(k L a±(Theta)) S                              (T30)
     with all four terms as one wave, in the light as in the shadow, and the share S of what comes from between the

@@ -204,25 +204,36 @@ def is_free(geometry: Geometry, wedges: Wedges, edges: tuple[int, int], at: tupl
     """Whether a ray goes between places off two edges. Of two free edges, rays on either side of what may be one
     plate: those in it meet it or not as rounding has it."""
     (a, b), (p, q) = edges, at
-    if unoccluded(geometry, p, q):
+    if _ray_passes(geometry, wedges, edges, at):
         return True
-    if min(wedges.n[a], wedges.n[b]) > _FREE:
-        n, off = row(wedges.normal, a), geometry.epsilon
-        for side in (off, -off):
-            if unoccluded(geometry, along(p, side, n), along(q, side, n)):
-                return True
     return unoccluded(geometry, beside(geometry, wedges, a, p), beside(geometry, wedges, b, q))
 
 
 @part
+def _ray_passes(
+    geometry: Geometry, wedges: Wedges, edges: tuple[int, int], at: tuple[Vec3, Vec3]
+) -> bool:
+    (a, b), (p, q) = edges, at
+    if unoccluded(geometry, p, q):
+        return True
+    if min(wedges.n[a], wedges.n[b]) <= _FREE:
+        return False
+    n, off = row(wedges.normal, a), geometry.epsilon
+    return unoccluded(geometry, along(p, off, n), along(q, off, n)) or unoccluded(
+        geometry, along(p, -off, n), along(q, -off, n)
+    )
+
+
+@part
 def _see_each_other(geometry: Geometry, wedges: Wedges, a: int, b: int) -> bool:
-    """Whether a ray goes from wedge a to wedge b."""
+    """Whether a ray goes from wedge a to wedge b; between their middles, one that is not quite free will do."""
     for k in range(len(_TRIED)):
         p = clear_point(wedges, a, _TRIED[k, 0] * wedges.length[a])
         q = clear_point(wedges, b, _TRIED[k, 1] * wedges.length[b])
-        if is_free(geometry, wedges, (a, b), (p, q)):
+        if _ray_passes(geometry, wedges, (a, b), (p, q)):
             return True
-    return False
+    p, q = clear_point(wedges, a, 0.5 * wedges.length[a]), clear_point(wedges, b, 0.5 * wedges.length[b])
+    return is_free(geometry, wedges, (a, b), (p, q))
 
 
 @kernel

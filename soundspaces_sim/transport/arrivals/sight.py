@@ -198,7 +198,9 @@ def _try_ends(
             for k in range(count):
                 at = clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])
                 if sees(view, end, at) or (
-                    end.plane < 0 and sees(view, end, beside(view.geometry, wedges, e, at))
+                    end.plane < 0
+                    and k == count // 2
+                    and sees(view, end, beside(view.geometry, wedges, e, at))
                 ):
                     seen[i, e] = True
                     break
