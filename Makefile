@@ -127,8 +127,8 @@ test-neighbours: $(VENV)/.neighbours ## The tests of what lies in neighbours/, e
 	$(BIN)/python -m soundspaces_sim.build.warm_up
 	$(BIN)/python -m pytest neighbours $(ARGS)
 
-test-clients: wheels ## Scripts with the calls of habitat's and RLR's clients, and AudibleLight's own tests (CHECKOUT=path of its repository)
-	$(BIN)/python -m neighbours.rlr_audio_propagation.tests.clients.run --torch-index "$(TORCH_INDEX)" $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(ARGS)
+test-clients: wheels ## Clients of habitat and RLR: their calls, their own checkouts (SOURCES=folder), AudibleLight's own tests (CHECKOUT=path)
+	$(BIN)/python -m neighbours.rlr_audio_propagation.tests.clients.run --torch-index "$(TORCH_INDEX)" $(if $(CHECKOUT),--checkout "$(CHECKOUT)") $(if $(SOURCES),--sources "$(SOURCES)") $(ARGS)
 
 wheels: $(VENV)/.tested ## Build the distributions into dist/, install them into empty environments and use them (ARGS=--simulate)
 	@rm -f dist/soundspaces_*.whl dist/soundspaces_sim-*.tar.gz dist/rlr_audio_propagation-*.whl

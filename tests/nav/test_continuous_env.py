@@ -15,7 +15,7 @@ import soundspaces_sim.nav as nav
 from soundspaces_sim.core.errors import ConfigError, EpisodeError, PointError
 from soundspaces_sim.nav.continuous.agents import EAR_S, direction_of, interaural_delay
 from soundspaces_sim.nav.continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
-from soundspaces_sim.nav.continuous.savnce import savnce_options
+from soundspaces_sim.nav.continuous.savnce import savnce_options, savnce_own_sensors
 from soundspaces_sim.nav.continuous.sensor_suite import interaural
 from tests.marks import ci_slow
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
@@ -297,6 +297,38 @@ SAVNCE: dict[str, Any] = {
         "SUCCESS": {"SUCCESS_DISTANCE": 1.0},
     },
 }  # fmt: skip
+
+
+#: TASK.SENSORS of its 15 task files (`configs/savnce`, commit 9c7a1a3b1e of 2026-06-23), and which have no observation
+#: of ours.
+SAVNCE_SENSORS = (
+    ("BINAURAL_FEATURE_EXTRACTOR POSE_SENSOR GOAL_DESCRIPTOR_SENSOR ORACLE_ACCDDOA_SENSOR",
+     "GOAL_DESCRIPTOR_SENSOR ORACLE_ACCDDOA_SENSOR"),
+    ("BINAURAL_FEATURE_EXTRACTOR POSE_SENSOR ORACLE_CATEGORY_SENSOR GOAL_DESCRIPTOR_SENSOR ORACLE_ACCDDOA_SENSOR",
+     "ORACLE_CATEGORY_SENSOR GOAL_DESCRIPTOR_SENSOR ORACLE_ACCDDOA_SENSOR"),
+    ("CATEGORY", "CATEGORY"),
+    ("POINTGOAL_WITH_GPS_COMPASS_SENSOR", ""),
+    ("POSE_SENSOR ORACLE_ACCDDOA_SENSOR", "ORACLE_ACCDDOA_SENSOR"),
+    ("SPECTROGRAM_SENSOR", ""),
+    ("SPECTROGRAM_SENSOR CATEGORY POINTGOAL_WITH_GPS_COMPASS_SENSOR POSE_SENSOR LOCATION_BELIEF CATEGORY_BELIEF",
+     "CATEGORY LOCATION_BELIEF CATEGORY_BELIEF"),
+    ("SPECTROGRAM_SENSOR CATEGORY POSE_SENSOR", "CATEGORY"),
+    ("SPECTROGRAM_SENSOR POSE_SENSOR", ""),
+    ("SPECTROGRAM_SENSOR POSE_SENSOR CATEGORY", "CATEGORY"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("sensors", "own"), SAVNCE_SENSORS)
+def test_the_sensors_of_savnces_task_files_are_read_and_its_own_named(sensors: str, own: str) -> None:
+    config = {**SAVNCE, "TASK": {**SAVNCE["TASK"], "SENSORS": sensors.split()}}
+    assert savnce_own_sensors(config) == tuple(own.split())
+    ours = savnce_options(config)["sensors"]
+    assert ("spectrogram" in ours) == ("SPECTROGRAM" in sensors) and ("pose" in ours) == (
+        "POSE" in sensors
+    )
+    assert len(ours) == 1 + len(sensors.split()) - len(own.split())  # depth, and what is not its own
+    with pytest.raises(ConfigError, match="no sensor 'CATEGORIES'"):
+        savnce_own_sensors({"TASK": {"SENSORS": ["CATEGORIES"]}})
 
 
 def test_savnces_configuration_runs(data: nav.NavData) -> None:

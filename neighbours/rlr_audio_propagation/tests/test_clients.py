@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from neighbours.rlr_audio_propagation.tests.clients import run
+from neighbours.rlr_audio_propagation.tests.clients import checkouts, run
 from neighbours.rlr_audio_propagation.tests.clients.data import (
     write_tree,
 )
@@ -30,6 +30,10 @@ def test_the_page_lists_the_scripts_that_are_run() -> None:
     page = (HERE / "README.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)\.py` \| .* \| (yes|no)\b", page, re.MULTILINE))
     assert rows == {name: "yes" if client.genuine else "no" for name, client in CLIENTS.items()}
+    own = {p.stem for p in checkouts.FOLDER.glob("*.py")} - {"__init__"}
+    assert own == set(checkouts.CLIENTS)
+    for source in checkouts.SOURCES.values():
+        assert source.commit[:10] in page
 
 
 @ci_slow
@@ -61,13 +65,20 @@ def test_what_cannot_be_had_is_left_out_with_a_line(
         raise LookupError("no CPU build of PyTorch on any index")
 
     monkeypatch.setattr(run, "ROOT", tmp_path)
-    monkeypatch.setattr(run, "_environment", lambda _: Path(sys.executable))
+    monkeypatch.setattr(run, "_wheels", list)
+    monkeypatch.setattr(run, "_environment", lambda *_: Path(sys.executable))
     monkeypatch.setattr(sys, "argv", ["run"])
+    nowhere = checkouts.Source(str(tmp_path / "nowhere"), "0" * 40)
+    monkeypatch.setattr(checkouts, "SOURCES", dict.fromkeys(checkouts.SOURCES, nowhere))
     for failed in (0, 2):
         monkeypatch.setattr(run, "run_scripts", lambda *_, failed=failed: failed)
         monkeypatch.setattr(run, "REPOSITORY", str(tmp_path / "nowhere"))
         assert run.main() == min(failed, 1)
-        assert "AudibleLight's tests are left out: cannot clone" in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert "AudibleLight's tests are left out: cannot clone" in said
+        assert (
+            said.count("left out  ") == len(checkouts.CLIENTS) and said.count("nowhere; SOURCES=") == 3
+        )
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests" / run.FILES[0]).touch()
     monkeypatch.setattr(sys, "argv", ["run", "--checkout", str(tmp_path)])

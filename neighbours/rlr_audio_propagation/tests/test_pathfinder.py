@@ -66,6 +66,27 @@ def test_ways_straight_and_around_a_wall() -> None:
     np.testing.assert_allclose(around.points[0], [1, 0, -1], atol=0.04)
 
 
+def test_the_nearest_of_several_goals_is_the_one_by_walking() -> None:
+    """A goal 2 m off behind a wall is farther than one 3.5 m off in the open; one without a way is passed over."""
+    paths = finder(
+        [[2.9, 0.0, -0.1], [3.1, 4.0, 2.8]], [[4.9, 0.0, -0.1], [5.1, 5.1, 2.8]]
+    )  # a wall with a gap, and a room without a door
+    start = [2.0, 0.0, -0.5]
+    path = habitat.MultiGoalShortestPath(start, [[4.0, 0.0, -0.5], [5.5, 0.0, -2.0], [2.0, 0.0, -4.0]])
+    assert paths.find_path(path) and path.closest_end_point_index == 2
+    assert path.geodesic_distance == pytest.approx(3.5, abs=0.08)
+    alone = way(paths, start, [2.0, 0.0, -4.0])
+    assert path.geodesic_distance == alone.geodesic_distance
+    np.testing.assert_array_equal(path.points, alone.points)
+    path.requested_ends = [[5.5, 0.0, -2.0]]
+    assert not paths.find_path(path)
+    assert (path.closest_end_point_index, path.geodesic_distance, path.points) == (-1, np.inf, [])
+    path.requested_ends = []
+    assert not paths.find_path(path) and path.closest_end_point_index == -1
+    with pytest.raises(RlrError, match="requested_ends"):
+        paths.find_path(habitat.MultiGoalShortestPath(start, [[float("nan"), 0.0, 0.0]]))
+
+
 def test_rooms_without_a_door_are_islands() -> None:
     paths = finder([[2.9, -0.1, -0.1], [3.1, 5.1, 2.8]])
     assert not np.isfinite(way(paths, [1, 0, -1], [5, 0, -1]).geodesic_distance)

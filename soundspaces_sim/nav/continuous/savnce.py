@@ -17,7 +17,7 @@ from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav.continuous.episodes import Rules
 from soundspaces_sim.nav.sensor_table import POINTGOAL
 
-#: Sensors of its files, and ours; None: the agent's own, or a label that training takes from the state.
+#: Sensors of its files, and ours; None: what `savnce_own_sensors` names.
 SENSORS: Mapping[str, str | None] = {
     "BINAURAL_FEATURE_EXTRACTOR": "interaural",
     "AUDIOGOAL_SENSOR": "audiogoal",
@@ -25,6 +25,9 @@ SENSORS: Mapping[str, str | None] = {
     "POSE_SENSOR": "pose",
     "COLLISION": "collision",
     "POINTGOAL_WITH_GPS_COMPASS_SENSOR": POINTGOAL,
+    "CATEGORY": None,
+    "CATEGORY_BELIEF": None,
+    "LOCATION_BELIEF": None,
     "GOAL_DESCRIPTOR_SENSOR": None,
     "ORACLE_CATEGORY_SENSOR": None,
     "ORACLE_ACCDDOA_SENSOR": None,
@@ -75,6 +78,18 @@ def savnce_options(config: Mapping[str, Any], depth: bool = True) -> dict[str, A
     if audio.get("HAS_NOISE_SOUND"):
         options["noise_db"] = NOISE_DB
     return options
+
+
+def savnce_own_sensors(config: Mapping[str, Any]) -> tuple[str, ...]:
+    """Sensors of a parsed task file that no observation of ours fills, in its order: the goal's category, which
+    stands in `SoundSource.category` of the episode; beliefs and descriptors, which the agent's own networks make of
+    what it hears; and oracles, which training takes from `env.state`. Raises `ConfigError` for a sensor that is
+    not SAVN-CE's."""
+    names = [str(name) for name in _table(config, "TASK").get("SENSORS", ())]
+    for name in names:
+        if name not in SENSORS:
+            raise ConfigError(f"TASK.SENSORS: no sensor '{name}'{nearest(name, SENSORS)}")
+    return tuple(name for name in names if SENSORS[name] is None)
 
 
 def _rules(audio: Mapping[str, Any]) -> Rules:

@@ -1,4 +1,5 @@
-"""`make test-clients`: scripts with clients' calls, and AudibleLight's own tests, in an environment of their own.
+"""`make test-clients`: scripts with clients' calls, clients from their own checkouts (`checkouts.py`), and
+AudibleLight's own tests, in environments of their own.
 
 The release on PyPI has no tests: they come from its repository at the same tag, cloned, or from `--checkout`. The
 tests that never reach the simulator, or need files that its authors download, are left out, each with a reason.
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from neighbours.rlr_audio_propagation.tests.clients.checkouts import run_checkouts
 from neighbours.rlr_audio_propagation.tests.clients.stand_in import (
     write_apartment,
     write_noise,
@@ -65,11 +67,8 @@ class SkippedError(Exception):
     """AudibleLight's part cannot run here, and why."""
 
 
-def _environment(folder: Path) -> Path:
-    """The Python of an environment with both of our wheels."""
-    python = folder / "bin" / "python"
-    if not python.exists():
-        venv.create(folder, with_pip=True)
+def _wheels() -> list[Path]:
+    """Both of our wheels."""
     ours = [
         *(ROOT / "dist").glob("soundspaces_sim-*.whl"),
         *(ROOT / "dist").glob("rlr_audio_propagation-*.whl"),
@@ -78,6 +77,14 @@ def _environment(folder: Path) -> Path:
         sys.exit(
             f"{ROOT / 'dist'}: expected one wheel of each distribution, got {len(ours)}; run make wheels"
         )
+    return ours
+
+
+def _environment(folder: Path, ours: list[Path]) -> Path:
+    """The Python of an environment with them."""
+    python = folder / "bin" / "python"
+    if not python.exists():
+        venv.create(folder, with_pip=True)
     for options in (
         [],
         ["--force-reinstall", "--no-deps"],
@@ -180,14 +187,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--checkout", type=Path)
     parser.add_argument("--select", default="", help="a pytest -k expression, for a few of the tests")
-    parser.add_argument("--only-scripts", action="store_true", help="without AudibleLight's tests")
+    parser.add_argument("--only-scripts", action="store_true", help="without other checkouts")
+    parser.add_argument("--sources", type=Path, help="a folder with the sources of checkouts.py")
     parser.add_argument("--torch-index", default=torch_cpu.INDEX)
     options = parser.parse_args()
     folder = ROOT / "build" / "clients"
-    python = _environment(folder / "environment")
+    wheels = _wheels()
+    python = _environment(folder / "environment", wheels)
     failed = run_scripts([str(python)], folder / "scripts", {"PYTHONPATH": ""})
     code = 0
     if not options.only_scripts:
+        failed += run_checkouts(folder, wheels, options.torch_index, options.sources)
         try:
             code = _audible_light(python, folder, options)
         except SkippedError as why:

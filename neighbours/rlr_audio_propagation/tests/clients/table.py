@@ -35,7 +35,7 @@ CLIENTS: Mapping[str, Client] = {
     "panoramas": Client("facebookresearch/sound-spaces, PanoIR/render_panoIR.py", _AS_IS),
     "continuous_simulator": Client(
         "facebookresearch/sound-spaces, soundspaces/continuous_simulator.py"
-    ),  # needs habitat-lab of 2022
+    ),  # itself run from its checkout: `checkouts.py`
     "moving_speakers": Client(
         "JusperLee/SonicSim, SonicSim_rir.py",
         "its functions called; empty modules for torchaudio, OpenCV and habitat-lab, which they import only",

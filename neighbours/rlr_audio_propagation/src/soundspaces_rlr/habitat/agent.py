@@ -112,6 +112,10 @@ class Agent:
         self._place({})
         return sensor
 
+    def remove_sensor(self, uuid: str) -> None:
+        """Take a sensor away."""
+        del self.sensors[uuid], self._looks[uuid]
+
     def get_state(self) -> AgentState:
         """A copy of where it and its sensors are."""
         poses = {

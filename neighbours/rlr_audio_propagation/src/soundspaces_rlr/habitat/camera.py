@@ -13,7 +13,7 @@ from soundspaces_rlr.arguments import length
 from soundspaces_rlr.errors import RlrError
 from soundspaces_rlr.habitat.magnum import Deg
 from soundspaces_rlr.habitat.node import Node
-from soundspaces_rlr.habitat.records import SensorSubType, SensorType, from_habitat
+from soundspaces_rlr.habitat.records import SensorSpec, SensorSubType, SensorType, from_habitat
 from soundspaces_rlr.kernels import cast_pixels
 
 _MOST_PIXELS = 2**26
@@ -21,7 +21,7 @@ _KINDS = (SensorType.COLOR, SensorType.DEPTH, SensorType.SEMANTIC)
 
 
 @dataclass
-class CameraSensorSpec:
+class CameraSensorSpec(SensorSpec):
     """A camera to be. `resolution`: rows and columns; `hfov`: horizontal angle of view, degrees or Magnum's `Deg`
     or `Rad`; `position` (3,) m and `orientation`, angles about x, y and z in rad, in the agent's frame; `near` and
     `far`, m: what is nearer or farther is not seen. Fields beyond these concern habitat's renderer and do
@@ -39,6 +39,7 @@ class CameraSensorSpec:
     channels: int = 4
     ortho_scale: float = 0.1
     noise_model: str = "None"
+    noise_model_kwargs: dict[str, Any] = field(default_factory=dict)
     gpu2gpu_transfer: bool = False
 
     def size(self) -> tuple[int, int]:

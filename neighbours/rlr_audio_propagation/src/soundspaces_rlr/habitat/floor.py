@@ -79,14 +79,37 @@ class Floor:
         """Row of the cell nearest to a place (3,), -1 if there is none."""
         return -1 if self._tree is None else int(self._tree.query(place)[1])
 
+    def nearest_way(self, start: np.ndarray, ends: list[np.ndarray]) -> tuple[int, np.ndarray]:
+        """The place (3,) of `ends` with the shortest way from `start`, by its row, and the corners (k, 3) of that
+        way, all snapped to cells; -1 and none where there is no way to any."""
+        first, goals = self.nearest(start), [self.nearest(end) for end in ends]
+        reached = [
+            i for i, goal in enumerate(goals) if goal >= 0 and self.island[goal] == self.island[first]
+        ]
+        if first < 0 or not reached:
+            return -1, np.empty((0, 3))
+        before = self._chains(first)
+        ways = {i: self._pulled(before, first, goals[i]) for i in reached}
+        far = {i: np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for i, way in ways.items()}
+        best = min(far, key=far.__getitem__)
+        return best, ways[best]
+
     def way(self, start: int, end: int) -> np.ndarray:
         """(k, 3) corners of the way between two cells of an island."""
+        return self._pulled(self._chains(start), start, end)
+
+    def _chains(self, start: int) -> np.ndarray:
+        """(n,) the cell before each on the shortest chain of cells from one."""
         _, before = dijkstra(
             self._steps, directed=False, indices=np.array([start]), return_predecessors=True
         )
+        return np.asarray(before[0])
+
+    def _pulled(self, before: np.ndarray, start: int, end: int) -> np.ndarray:
+        """(k, 3) corners of a chain of cells, pulled straight."""
         cells = [end]
         while cells[-1] != start:
-            cells.append(int(before[0, cells[-1]]))
+            cells.append(int(before[cells[-1]]))
         chain = self.points[cells[::-1]]
         corners, at = [0], 0
         while at < len(chain) - 1:  # as far as one can walk straight, then on from there

@@ -26,6 +26,17 @@ class ShortestPath:
     points: list[np.ndarray] = field(default_factory=list)
 
 
+@dataclass
+class MultiGoalShortestPath:
+    """`ShortestPath` to the nearest of several ends: `closest_end_point_index` is its row, -1: no way to any."""
+
+    requested_start: Any = field(default_factory=lambda: np.zeros(3))
+    requested_ends: Any = field(default_factory=list)
+    geodesic_distance: float = np.inf
+    closest_end_point_index: int = -1
+    points: list[np.ndarray] = field(default_factory=list)
+
+
 class PathFinder:
     """The floor of a scene for an agent of a height and radius, m, made when first asked of.
 
@@ -34,9 +45,13 @@ class PathFinder:
     below a roof. Ways go over cells of 5 cm and are then pulled straight.
     """
 
-    def __init__(self, scene: Scene, height: float, radius: float) -> None:
+    def __init__(
+        self, scene: Scene, height: float, radius: float, settings: NavMeshSettings | None = None
+    ) -> None:
         self._scene = scene
-        self.nav_mesh_settings = NavMeshSettings(agent_height=height, agent_radius=radius)
+        self.nav_mesh_settings = (
+            replace(settings) if settings else NavMeshSettings(agent_height=height, agent_radius=radius)
+        )
         self._floor: Floor | None = None
         self._random = np.random.default_rng(0)
 
@@ -152,23 +167,23 @@ class PathFinder:
         island = floor.island[floor.nearest(_from_habitat(pt, "island_radius"))]
         return float(np.sqrt((floor.island == island).sum() * floor.cell**2 / np.pi))
 
-    def find_path(self, path: ShortestPath) -> bool:
-        """Fill in the shortest way between two places, snapped to the floor; False if there is none."""
-        floor = self._made()
-        ends = [
-            floor.nearest(_from_habitat(end, f"ShortestPath.{name}"))
-            for name, end in (
-                ("requested_start", path.requested_start),
-                ("requested_end", path.requested_end),
-            )
-        ]
-        path.points, path.geodesic_distance = [], np.inf
-        if min(ends) < 0 or floor.island[ends[0]] != floor.island[ends[1]]:
-            return False
-        corners = floor.way(*ends)
+    def find_path(self, path: ShortestPath | MultiGoalShortestPath) -> bool:
+        """Fill in the shortest way between two places, or from one to the nearest of several, snapped to the floor;
+        False if there is none."""
+        if isinstance(path, MultiGoalShortestPath):
+            ends, name = path.requested_ends, "MultiGoalShortestPath.requested_ends"
+        else:
+            ends, name = [path.requested_end], "ShortestPath.requested_end"
+        goals = [_from_habitat(end, name) for end in ends]
+        start = _from_habitat(path.requested_start, f"{type(path).__name__}.requested_start")
+        best, corners = self._made().nearest_way(start, goals)
         path.points = list(to_habitat(corners))
-        path.geodesic_distance = float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
-        return True
+        path.geodesic_distance = np.inf
+        if isinstance(path, MultiGoalShortestPath):
+            path.closest_end_point_index = best
+        if best >= 0:
+            path.geodesic_distance = float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
+        return best >= 0
 
     def _made(self) -> Floor:
         if self._floor is None:

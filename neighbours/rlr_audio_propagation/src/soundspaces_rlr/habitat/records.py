@@ -27,12 +27,30 @@ class SensorType(Enum):
 
 
 class SensorSubType(Enum):
-    """What a camera projects by, or what an audio sensor gives; `ORTHOGRAPHIC` can be named, not drawn."""
+    """What a camera projects by, or what an audio sensor gives; of cameras, only `PINHOLE` can be drawn."""
 
     NONE = "none"
     PINHOLE = "pinhole"
     ORTHOGRAPHIC = "orthographic"
+    FISHEYE = "fisheye"
+    EQUIRECTANGULAR = "equirectangular"
     IMPULSERESPONSE = "impulse response"
+
+
+class FisheyeSensorModelType(Enum):
+    """What a camera with a fisheye projects by; it can be named, not drawn."""
+
+    DOUBLE_SPHERE = "double sphere"
+
+
+class SensorSpec:
+    """What the specifications of sensors have in common: `uuid`, `sensor_type`, `position`, `orientation`."""
+
+    uuid: str
+    sensor_type: SensorType
+    sensor_subtype: SensorSubType
+    position: Sequence[float]
+    orientation: Sequence[float]
 
 
 class RLRAudioPropagationChannelLayoutType(IntEnum):
@@ -152,7 +170,7 @@ class RLRAudioPropagationConfiguration:
 
 
 @dataclass
-class AudioSensorSpec:
+class AudioSensorSpec(SensorSpec):
     """An audio sensor to be. `position` (3,) m is in the agent's frame. `enableMaterials` counts where later
     versions of habitat-sim have it, beside `acousticsConfig.enableMaterials`: either switches materials off."""
 

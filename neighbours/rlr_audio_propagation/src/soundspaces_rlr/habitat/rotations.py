@@ -165,3 +165,15 @@ def quat_from_two_vectors(v0: Sequence[float] | np.ndarray, v1: Sequence[float] 
         return quat_from_angle_axis(math.pi, side)
     w, v = math.sqrt(0.5 * (1.0 + a @ b)), np.cross(a, b)
     return make(w, *(v / (2.0 * w)))
+
+
+def random_quaternion() -> Any:
+    """A rotation, even over all, from NumPy's global generator, as habitat draws it (Shoemake 1992)."""
+    u, v, w = np.random.rand(3)  # noqa: NPY002 # the generator that clients seed
+    a, b = math.sqrt(1.0 - u), math.sqrt(u)
+    return make(
+        a * math.sin(2.0 * math.pi * v),
+        a * math.cos(2.0 * math.pi * v),
+        b * math.sin(2.0 * math.pi * w),
+        b * math.cos(2.0 * math.pi * w),
+    )

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from soundspaces_rlr.arguments import pick
-from soundspaces_rlr.errors import as_runtime_errors
+from soundspaces_rlr.errors import RlrError, as_runtime_errors
 from soundspaces_rlr.habitat.agent import Agent, AgentConfiguration, AgentState
 from soundspaces_rlr.habitat.controls import ActionSpec
 from soundspaces_rlr.habitat.floor import NavMeshSettings
 from soundspaces_rlr.habitat.follower import GreedyGeodesicFollower
 from soundspaces_rlr.habitat.pathfinder import PathFinder
+from soundspaces_rlr.habitat.refused import RefusedObject
 from soundspaces_rlr.habitat.rotations import quat_from_angle_axis
 from soundspaces_rlr.habitat.scenes import find_scene, vertex_colors
 from soundspaces_rlr.habitat.semantic import SemanticScene
@@ -41,6 +42,11 @@ class SimulatorConfiguration:
     frustum_culling: bool = True
     random_seed: int = 0
     allow_sliding: bool = True
+    navmesh_settings: NavMeshSettings | None = None  # None: by the size of agent 0
+    physics_config_file: str = ""
+    leave_context_with_background_renderer: bool = False
+    enable_hbao: bool = False
+    enable_gfx_replay_save: bool = False
 
 
 @dataclass
@@ -49,6 +55,7 @@ class Configuration:
 
     sim_cfg: SimulatorConfiguration
     agents: list[AgentConfiguration] = field(default_factory=lambda: [AgentConfiguration()])
+    enable_batch_renderer: bool = False
 
 
 class Simulator:
@@ -56,14 +63,67 @@ class Simulator:
     where agent 0 can walk; `random`: what `seed` seeds."""
 
     def __init__(self, config: Configuration) -> None:
+        self._prepare(config)
+
+    def _prepare(self, config: Configuration) -> None:
         self.config = config
+        backend = config.sim_cfg
+        for name, asked in (
+            ("SimulatorConfiguration.enable_gfx_replay_save", backend.enable_gfx_replay_save),
+            ("Configuration.enable_batch_renderer", config.enable_batch_renderer),
+        ):
+            if asked:
+                raise RlrError(f"{name}: there is no renderer here")
         with as_runtime_errors():
             # as the engine of SoundSpaces 2 has it: what is open stays open
-            self.scene = find_scene(config.sim_cfg.scene_id, config.sim_cfg.scene_dataset_config_file)
+            self.scene = find_scene(backend.scene_id, backend.scene_dataset_config_file)
+        for made in ("semantic_scene", "vertex_colors"):
+            vars(self).pop(made, None)
         self.agents = [Agent(agent) for agent in config.agents]
         size = (config.agents or [AgentConfiguration()])[0]
-        self.pathfinder = PathFinder(self.scene, size.height, size.radius)
-        self.seed(config.sim_cfg.random_seed)
+        self.pathfinder = PathFinder(self.scene, size.height, size.radius, backend.navmesh_settings)
+        self.random = np.random.default_rng(backend.random_seed)
+        self.pathfinder.seed(backend.random_seed)
+
+    def reconfigure(self, config: Configuration) -> None:
+        """Go on in another scene or with other agents, as if made anew."""
+        self.close()
+        self._prepare(config)
+
+    @property
+    def sensors(self) -> dict[str, Any]:
+        """The sensors of the default agent by name."""
+        return self.get_agent(self.config.sim_cfg.default_agent_id).sensors
+
+    @property
+    def _sensors(self) -> dict[str, Any]:
+        return self.sensors  # the name that older clients use
+
+    def get_sensor(self, uuid: str) -> Any:
+        """A sensor of the default agent by name. Raises `RlrError`."""
+        if uuid not in self.sensors:
+            raise RlrError(f"no sensor {uuid!r}: expected one of {sorted(self.sensors)}")
+        return self.sensors[uuid]
+
+    def remove_sensor(self, uuid: str) -> None:
+        """Take a sensor of the default agent away. Raises `RlrError`."""
+        self.get_sensor(uuid)
+        self.get_agent(self.config.sim_cfg.default_agent_id).remove_sensor(uuid)
+
+    def step_physics(self, dt: float, scene_id: int = 0) -> None:
+        """Let time go by: nothing moves of itself, so nothing changes. habitat-lab calls it after each action."""
+
+    def get_object_template_manager(self) -> RefusedObject:
+        """Habitat's way to objects, which there are none of; what is asked of it is an error."""
+        return RefusedObject("Simulator.get_object_template_manager()")
+
+    def get_rigid_object_manager(self) -> RefusedObject:
+        """Likewise."""
+        return RefusedObject("Simulator.get_rigid_object_manager()")
+
+    def get_articulated_object_manager(self) -> RefusedObject:
+        """Likewise."""
+        return RefusedObject("Simulator.get_articulated_object_manager()")
 
     def __enter__(self) -> Simulator:
         return self
@@ -175,3 +235,7 @@ class Simulator:
             return {i: self.get_sensor_observations(i) for i in agent_ids}
         agent = self.get_agent(agent_ids)
         return {name: sensor.get_observation(self) for name, sensor in agent.sensors.items()}
+
+
+#: Under habitat's other name for what the simulator is built on; here there is one class.
+SimulatorBackend = Simulator
