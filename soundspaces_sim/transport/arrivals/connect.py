@@ -46,6 +46,7 @@ from soundspaces_sim.transport.arrivals.sight import (
     Seen,
     Sight,
     coordinates_in,
+    row_of,
 )
 from soundspaces_sim.transport.arrivals.two_edges import (
     BEYOND,
@@ -60,6 +61,7 @@ from soundspaces_sim.transport.arrivals.waves import Path, Waves, add_wave, ener
 from soundspaces_sim.transport.arrivals.ways import (
     WayScratch,
     choose_ways,
+    in_light_of,
     is_new,
     set_way,
     solve_way,
@@ -549,35 +551,60 @@ def _add_double(
 def _add_ways(
     context: Context, a: Sight, b: Sight, i: int, j: int, ends: _Ends, scratch: Scratch
 ) -> None:
-    """Waves by three edges and more: from the ways of either point to the edges that the other one sees."""
-    wedges, view, way, p, q = context.edges.wedges, context.sight, scratch.way, ends.p, ends.q
-    solved = 0
-    for reverse in (False, True):
-        own, of, at, n = (b, j, p.at, ends.u) if reverse else (a, i, q.at, ends.v)
-        seen = a.seen if reverse else b.seen
-        rows = seen.start[n], seen.start[n + 1]
-        for m in range(choose_ways(wedges, own.ways, of, rows, seen.wedge, seen.phi, at, way)):
-            count = set_way(own.ways, of, way.last[m], reverse, way)
-            count, length = solve_way(view, context.edges, count, p.at, q.at, way)
-            if count < 2 or (count == 2 and way.common[0]) or not is_new(count, solved, way):
-                continue
-            solved += 1
-            if not way_field(
-                wedges,
-                count,
-                p.at,
-                q.at,
-                length,
-                context.spectrum,
-                scratch.least,
-                way,
-                scratch.double,
-                scratch.field,
-            ):
-                continue
-            e, f = way.edge[0], way.edge[count - 1]
-            met = met_point(wedges, e, way.z[0]), met_point(wedges, f, way.z[count - 1])
-            _add_by_edges(context, ends, (e, f), met, length, count > 2, scratch)
+    """The shortest way round several edges, from the ways of either point to the edges that the other one sees;
+    with it those by an edge more, near whose shadow an end is."""
+    edges, view, way, p, q = context.edges, context.sight, scratch.way, ends.p.at, ends.q.at
+    of_q, of_p = row_of(b.seen, ends.v), row_of(a.seen, ends.u)
+    from_p = choose_ways(edges.wedges, a.ways, i, of_q, b.seen.wedge, q, 0, way)
+    from_q = choose_ways(edges.wedges, b.ways, j, of_p, a.seen.wedge, p, 1, way)
+    m = n = count = 0
+    while count == 0 and (m < from_p or n < from_q):
+        length = 0.0
+        if n == from_q or (m < from_p and way.total[0, m] <= way.total[1, n]):
+            count, length = solve_way(
+                view, edges, set_way(a.ways, i, way.last[0, m], False, way), p, q, way
+            )
+            m += 1
+        else:
+            count, length = solve_way(
+                view, edges, set_way(b.ways, j, way.last[1, n], True, way), p, q, way
+            )
+            n += 1
+        if count > 0:
+            _add_way(context, ends, count, length, 0, scratch)
+    if count == 0:
+        return
+    solved, first, last = 1, way.edge[0], way.edge[count - 1]
+    for k in range(of_q[0], of_q[1]):
+        e = b.seen.wedge[k]
+        if in_light_of(a.ways, i, e, last, b.seen.phi[k]):
+            count, length = solve_way(view, edges, set_way(a.ways, i, e, False, way), p, q, way)
+            solved += _add_way(context, ends, count, length, solved, scratch)
+    for k in range(of_p[0], of_p[1]):
+        e = a.seen.wedge[k]
+        if in_light_of(b.ways, j, e, first, a.seen.phi[k]):
+            count, length = solve_way(view, edges, set_way(b.ways, j, e, True, way), p, q, way)
+            solved += _add_way(context, ends, count, length, solved, scratch)
+
+
+@part
+def _add_way(
+    context: Context, ends: _Ends, count: int, length: float, solved: int, scratch: Scratch
+) -> int:
+    """Add the wave of the way at hand, if it is not one edge or two of one face, which are there: 1 if the way is
+    new."""
+    way, wedges, p, q = scratch.way, context.edges.wedges, ends.p.at, ends.q.at
+    if count == 0 or not is_new(count, solved, way):
+        return 0
+    if count == 1 or (count == 2 and way.common[0]):
+        return 1
+    if way_field(
+        wedges, count, p, q, length, context.spectrum, scratch.least, way, scratch.double, scratch.field
+    ):
+        e, f = way.edge[0], way.edge[count - 1]
+        met = met_point(wedges, e, way.z[0]), met_point(wedges, f, way.z[count - 1])
+        _add_by_edges(context, ends, (e, f), met, length, count > 2, scratch)
+    return 1
 
 
 @part

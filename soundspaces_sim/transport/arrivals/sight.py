@@ -91,6 +91,12 @@ def coordinates_in(seen: Seen, n: int) -> WedgeCoordinates:
     return WedgeCoordinates(seen.z[n], seen.r[n], seen.phi[n])
 
 
+@part(forceinline=True)
+def row_of(seen: Seen, end: int) -> tuple[int, int]:
+    """The rows of what an end sees."""
+    return seen.start[end], seen.start[end + 1]
+
+
 # Planes
 
 

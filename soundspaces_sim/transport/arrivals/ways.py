@@ -62,8 +62,8 @@ from soundspaces_sim.transport.arrivals.wedges import (
 )
 
 MOST_EDGES = 6  # of a way: five doors of a clean mesh turn the sound away for good
-TRIED = 4  # ways to a point, by different last edges
-_LONGER = 1.0  # m, than the shortest way, up to which others are tried
+TRIED = 4  # ways to a point, by different last edges, until one is free
+_MOST_WAYS = 8  # of a pair: the shortest one, and those by an edge more in whose light an end is
 _SHORTER = 1e-3  # m, by which a way must be, to be another
 _PLACES = 5  # of an edge that are tried where its nearest place is not seen
 _SWEEPS = 12  # by which a way is pulled taut
@@ -85,9 +85,9 @@ class Ways(NamedTuple):
 class WayScratch(NamedTuple):
     """What a thread works in: ways that are tried, and the one at hand, from p by m edges to q."""
 
-    total: np.ndarray  # (TRIED,) m, of what is tried
-    last: np.ndarray  # (TRIED,) edge that the other point sees
-    done: np.ndarray  # (2 TRIED, MOST_EDGES) edges of the ways that are solved, from p
+    total: np.ndarray  # (2, TRIED) m, of what is tried from p, and from q
+    last: np.ndarray  # (2, TRIED) edge that the other point sees
+    done: np.ndarray  # (_MOST_WAYS, MOST_EDGES) edges of the ways that are solved, from p
     edge: np.ndarray  # (MOST_EDGES,)
     z: np.ndarray  # (MOST_EDGES,) m
     found: np.ndarray  # (MOST_EDGES,) m, where rays have found the way free
@@ -104,9 +104,9 @@ def make_way_scratch() -> WayScratch:
     """Empty."""
     m = MOST_EDGES
     return WayScratch(
-        total=np.empty(TRIED),
-        last=np.empty(TRIED, np.int64),
-        done=np.empty((2 * TRIED, m), np.int64),
+        total=np.empty((2, TRIED)),
+        last=np.empty((2, TRIED), np.int64),
+        done=np.empty((_MOST_WAYS, m), np.int64),
         edge=np.empty(m, np.int64),
         z=np.empty(m),
         found=np.empty(m),
@@ -220,18 +220,18 @@ def choose_ways(
     i: int,
     rows: tuple[int, int],
     wedge: np.ndarray,
-    phi: np.ndarray,
     q: Vec3,
+    tree: int,
     scratch: WayScratch,
 ) -> int:
-    """The shortest ways from point i to q by its last edges, rows of `wedge`, q at `phi` about them: into `total`
-    and `last`, the shortest first; how many."""
-    count, total, last = 0, scratch.total, scratch.last
+    """The shortest ways from point i to q by their last edges, rows of `wedge`: into `total` and `last` of a tree,
+    the shortest first; how many."""
+    count, total, last = 0, scratch.total[tree], scratch.last[tree]
     for n in range(rows[0], rows[1]):
         e = wedge[n]
-        if ways.before[i, e] < 0 or _near_shadow(phi[n], ways.phi[i, e]) <= 0.0:
-            continue
         way = ways.length[i, e] + distance(edge_point(wedges, e, ways.z[i, e]), q)
+        if not way < math.inf:
+            continue
         k = count
         while k > 0 and total[k - 1] > way:
             if k < TRIED:
@@ -240,9 +240,15 @@ def choose_ways(
         if k < TRIED:
             total[k], last[k] = way, e
             count = min(count + 1, TRIED)
-    while count > 0 and total[count - 1] > total[0] + _LONGER:
-        count -= 1
     return count
+
+
+@part
+def in_light_of(ways: Ways, i: int, e: int, f: int, phi: float) -> bool:
+    """Whether the way of point i by edge f goes on to e, and an end at the angle phi about e is in its light, but
+    near its shadow."""
+    turn = abs(phi - ways.phi[i, e])
+    return ways.before[i, e] == f and math.pi - _NEAR_SHADOW < turn < math.pi
 
 
 @part
@@ -265,7 +271,9 @@ def set_way(ways: Ways, i: int, last: int, reverse: bool, scratch: WayScratch) -
 
 @part
 def is_new(count: int, solved: int, scratch: WayScratch) -> bool:
-    """Whether the way at hand is none of those solved; it is then row `solved` of them."""
+    """Whether the way at hand is none of those solved; it is then row `solved` of them. No if there is no room."""
+    if solved == _MOST_WAYS:
+        return False
     for k in range(solved):
         same = count == MOST_EDGES or scratch.done[k, count] < 0
         for n in range(count):
