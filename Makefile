@@ -32,7 +32,7 @@ HOMES ?= 1000
 NEIGHBOURS := $(patsubst neighbours/%/pyproject.toml,%,$(wildcard neighbours/*/pyproject.toml))
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs collection figures listen nav docs check test test-slow test-lowest test-extras test-neighbours test-clients lint bench validate wheels pytest clean
+.PHONY: help install rirs explore collection figures listen nav docs check test test-slow test-lowest test-extras test-neighbours test-clients lint bench validate wheels pytest clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -59,6 +59,10 @@ $(VENV)/.validates: $(VENV)/.tested
 
 $(VENV)/.documented: $(VENV)/.installed
 	$(INSTALL) -e ".[docs]"
+	@touch $@
+
+$(VENV)/.explores: $(VENV)/.installed
+	$(INSTALL) --no-deps -e ./neighbours/explorer
 	@touch $@
 
 $(VENV)/.engine-local: $(VENV)/.installed
@@ -95,6 +99,9 @@ figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path f
 nav: OUT = out/nav
 nav: $(VENV)/.navigates ## Agents that hear: flats, datasets, episodes, training, report [PRESET=quick|small|paper] [SEEDS=1]
 	@$(BIN)/soundspaces-agents run --preset "$(PRESET)" --out "$(OUT)" --seeds $(SEEDS) $(if $(JOBS),--jobs $(JOBS)) $(ARGS)
+
+explore: $(VENV)/.explores ## Hear a scene in the browser while it is simulated (SCENE=path, or the folder of a dataset)
+	@$(BIN)/soundspaces-sim explore "$(SCENE)" --out "$(OUT)" $(ARGS)
 
 listen: rirs ## Speech, a clap and music at three places and four headings, in OUT/listening
 	@$(BIN)/soundspaces-sim listen "$(OUT)/$(basename $(notdir $(SCENE)))" --replace --out "$(OUT)/listening"

@@ -187,6 +187,7 @@ from .nav.continuous.env import (
 )
 from .nav.continuous.sound_field import (
     PathsName,
+    SimulatedPaths,
 )
 from .nav.continuous.state import (
     ContinuousState,
@@ -319,6 +320,9 @@ from .scene.rays.geometry import (
     Geometry,
     cast_ray,
 )
+from .scene.section import (
+    section,
+)
 from .scene.storeys import (
     floor_heights,
 )
@@ -417,6 +421,7 @@ __all__ = [
     "RendererOption",
     "ReplaceOption",
     "SensorSuite",
+    "SimulatedPaths",
     "SpecularPlanes",
     "TableEntry",
     "TaskName",
@@ -516,6 +521,7 @@ __all__ = [
     "rotation_matrix",
     "run_app",
     "seconds_of",
+    "section",
     "set_thread_count",
     "shares",
     "simulate_pairs",

@@ -283,7 +283,6 @@ def test_every_code_of_the_rows_is_tried() -> None:
     assert len(tried) > 25
     assert set(CELLS) - set(tried) == {
         "soundspaces-calibrate room.obj --measured parameters.csv",
-        "soundspaces-explorer out/demo",
         "soundspaces-tasks out/collection",
         "soundspaces_rlr.habitat.attach(sim, spec)",
     }  # of neighbours: their tests run them

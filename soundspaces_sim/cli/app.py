@@ -9,6 +9,7 @@ import typer
 from soundspaces_sim.cli import (
     collection,
     datasets,
+    explore,
     jobs,
     nav,
     pictures,
@@ -63,6 +64,7 @@ for command in (
     pictures.report,
 ):
     app.command()(command)
+app.command(context_settings=explore.WITHOUT_OWN_OPTIONS)(explore.explore)
 app.add_typer(nav.app, name="nav")
 
 

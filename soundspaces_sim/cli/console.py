@@ -108,10 +108,11 @@ class Meter:
             )
 
 
-def run_app(app: typer.Typer) -> None:
-    """Run a command line: an error of ours is one line on stderr and exit code 2; Ctrl-C is exit code 130."""
+def run_app(app: typer.Typer, arguments: list[str] | None = None, name: str | None = None) -> None:
+    """Run a command line, by default that of this process: an error of ours is one line on stderr and exit code 2;
+    Ctrl-C is exit code 130."""
     try:
-        app()
+        app(arguments, prog_name=name)
     except SoundSpacesSimError as error:
         logging.getLogger(__name__).debug("where it was raised:", exc_info=error)
         print(f"{type(error).__name__}: {error}", file=sys.stderr)

@@ -11,11 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from soundspaces_explorer.export import export_explorer
+from soundspaces_explorer.live import LiveScene
+from soundspaces_explorer.server import ExplorerServer
 
 import soundspaces_sim as ss
 
 pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
 from neighbours.explorer.tests.bidi import FIREFOX, Firefox, firefox
+from neighbours.explorer.tests.live_page import DONE, ON_PLAN, REFLECTED, check_live_sound
 
 pytestmark = pytest.mark.skipif(FIREFOX is None, reason="there is no Firefox on the path")
 READY = "document.body.dataset.ready !== undefined"
@@ -79,3 +82,29 @@ def test_the_copy_opens_from_disk(page: Firefox, dataset_folder: Path, tmp_path:
     page.open((tmp_path / "copy" / "index.html").as_uri())
     page.wait_for(READY)
     assert len(page.evaluate("state.data.chosen")) == 4
+
+
+def test_a_live_scene_sounds_as_it_is_simulated(
+    page: Firefox, live_server: ExplorerServer, live_scene: LiveScene
+) -> None:
+    page.open(live_server.url)
+    page.wait_for(READY)
+    page.wait_for(DONE)
+    check_live_sound(page.evaluate, live_scene)
+
+
+def test_a_live_scene_is_clicked_and_changed(page: Firefox, live_server: ExplorerServer) -> None:
+    page.open(live_server.url)
+    page.wait_for(READY)
+    page.click(*page.evaluate(f"({ON_PLAN})([4.5, 1.5])"))
+    page.wait_for("Math.hypot(state.listener[0] - 4.5, state.listener[1] - 1.5) < 0.1")
+    page.wait_for(
+        "audio.playing !== null || document.getElementById('problem').textContent.includes('no device')"
+    )
+    page.wait_for(DONE)
+    before = page.evaluate("state.answer.measures.c50[1][0]")
+    page.evaluate(REFLECTED)
+    page.wait_for(
+        f"{DONE} && state.answer.kind === 'estimate' && Object.keys(state.chosen).length === 1"
+    )
+    assert page.evaluate("state.answer.measures.c50[1][0]") > before + 1.0

@@ -14,8 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 from soundspaces_explorer.export import HEADINGS, export_explorer
+from soundspaces_explorer.live import LiveScene
+from soundspaces_explorer.server import ExplorerServer
 
 import soundspaces_sim as ss
+from neighbours.explorer.tests.live_page import DONE, ON_PLAN, REFLECTED, check_live_sound
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
@@ -174,12 +177,133 @@ def test_the_copy_opens_from_disk(page: Any, dataset_folder: Path, tmp_path: Pat
         page.wait_for_function("audio.playing !== null")
 
 
-def test_the_page_keeps_to_its_own_policy(browser: Any, url: str) -> None:
+def test_pages_keep_to_their_own_policy(browser: Any, url: str, live_server: ExplorerServer) -> None:
     """With the policy in force nothing is refused."""
-    page = browser.new_page()
-    problems: list[str] = []
-    page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
-    page.goto(url)
-    page.wait_for_selector("body[data-ready]")
-    page.close()
-    assert problems == []
+    for address in (url, live_server.url):
+        page = browser.new_page()
+        problems: list[str] = []
+        page.on("console", lambda m, found=problems: found.append(m.text) if m.type == "error" else None)
+        page.goto(address)
+        page.wait_for_selector("body[data-ready]")
+        page.close()
+        assert problems == []
+
+
+# ---- a live scene ----
+
+
+def test_a_live_scene_sounds_as_it_is_simulated(
+    page: Any, live_server: ExplorerServer, live_scene: LiveScene
+) -> None:
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    page.wait_for_function(DONE)
+    check_live_sound(page.evaluate, live_scene)
+
+
+def test_a_click_is_heard_and_keys_walk(page: Any, live_server: ExplorerServer) -> None:
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    page.mouse.click(*page.evaluate(f"({ON_PLAN})([4.5, 1.5])"))
+    page.wait_for_function("audio.playing !== null && document.body.dataset.heard !== undefined")
+    assert page.evaluate("state.listener.slice(0, 2)") == pytest.approx([4.5, 1.5], abs=0.05)
+    page.wait_for_function(DONE)
+    heard, source = page.evaluate("[Number(document.body.dataset.heard), state.source]")
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_function(f"Number(document.body.dataset.heard) > {heard}")
+    assert page.evaluate("state.listener[0]") == pytest.approx(4.25, abs=0.05)
+    page.keyboard.press("Shift+ArrowUp")
+    assert page.evaluate("state.source[1]") == pytest.approx(source[1] + 0.25)
+    heading = page.evaluate("state.heading")
+    page.keyboard.press(",")
+    assert page.evaluate("state.heading") == heading + 5
+    page.keyboard.press(" ")
+    assert page.evaluate("audio.playing") is None
+
+
+def test_a_mark_is_dragged(page: Any, live_server: ExplorerServer) -> None:
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    page.mouse.move(*page.evaluate(f"({ON_PLAN})(state.source)"))
+    page.mouse.down()
+    page.mouse.move(*page.evaluate(f"({ON_PLAN})([2.0, 4.0])"), steps=4)
+    page.mouse.up()
+    assert page.evaluate("state.source.slice(0, 2)") == pytest.approx([2.0, 4.0], abs=0.05)
+    page.wait_for_function(DONE)
+
+
+def test_a_slider_is_heard_and_two_states_are_kept(page: Any, live_server: ExplorerServer) -> None:
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    page.wait_for_function(DONE)
+    before = page.evaluate("state.answer.measures.c50.map((v) => v[0])")
+    page.keyboard.press("b")
+    page.evaluate(REFLECTED)
+    page.wait_for_function("state.answer.kind === 'counts' || state.answer.step > 0")
+    page.wait_for_function("Object.keys(state.chosen).length === 1")
+    page.wait_for_function(DONE)
+    after = page.evaluate("state.answer.measures.c50.map((v) => v[0])")
+    assert all(a > b + 1.0 for a, b in zip(after, before, strict=True))
+    page.keyboard.press("a")
+    page.wait_for_function(DONE)
+    assert page.evaluate("state.answer.measures.c50.map((v) => v[0])") == before
+    assert page.evaluate("Object.keys(state.chosen)") == []
+
+
+def test_an_own_sound_is_dropped(page: Any, live_server: ExplorerServer) -> None:
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    page.evaluate(
+        "() => { const rate = 8000, n = 4000, data = new DataView(new ArrayBuffer(44 + 2 * n));"
+        " const text = (at, s) => [...s].forEach((c, i) => data.setUint8(at + i, c.charCodeAt(0)));"
+        " text(0, 'RIFF'); data.setUint32(4, 36 + 2 * n, true); text(8, 'WAVEfmt '); data.setUint32(16, 16, true);"
+        " data.setUint16(20, 1, true); data.setUint16(22, 1, true); data.setUint32(24, rate, true);"
+        " data.setUint32(28, 2 * rate, true); data.setUint16(32, 2, true); data.setUint16(34, 16, true);"
+        " text(36, 'data'); data.setUint32(40, 2 * n, true); data.setInt16(44 + 2 * 100, 20000, true);"
+        " const moved = new DataTransfer(); moved.items.add(new File([data], 'own.wav', { type: 'audio/wav' }));"
+        " document.dispatchEvent(new DragEvent('drop', { dataTransfer: moved, bubbles: true, cancelable: true })); }"
+    )
+    page.wait_for_function(
+        "audio.playing !== null && document.getElementById('sound').value === 'own file'"
+    )
+    assert page.evaluate("audio.playing.buffer.duration") == pytest.approx(0.5, abs=0.001)
+
+
+def test_a_live_scene_on_a_phone(browser: Any, live_server: ExplorerServer) -> None:
+    context = browser.new_context(
+        viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True, bypass_csp=True
+    )
+    page = context.new_page()
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.check("#place-source")
+    page.touchscreen.tap(*page.evaluate(f"({ON_PLAN})([1.5, 4.0])"))
+    page.wait_for_function("Math.hypot(state.source[0] - 1.5, state.source[1] - 4.0) < 0.1")
+    page.wait_for_function("audio.playing !== null")
+    context.close()
+
+
+def test_a_live_scene_names_its_units(page: Any, live_server: ExplorerServer) -> None:
+    page.add_init_script(
+        "window.written = []; const write = CanvasRenderingContext2D.prototype.fillText;"
+        "CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {"
+        " window.written.push(text); return write.call(this, text, ...at); };"
+    )
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    page.wait_for_function(DONE)
+    written = page.evaluate("window.written")
+    for text in ("x (m)", "y (m)", "z (m)", "T30 (s)", "C50 (dB)", "0 dBFS"):
+        assert text in written, text
+    assert any(w.endswith(" m") and w[:-2].replace(".", "").isdecimal() for w in written)
+    assert not any(w in ("-0", "−0", "NaN", "-Infinity") for w in written)
+
+
+def test_a_dataset_is_written_on_demand(page: Any, live_server: ExplorerServer) -> None:
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    page.fill("#spacing", "2")
+    page.click("#make")
+    page.wait_for_selector("#job pre")
+    assert page.inner_text("#job pre").startswith("soundspaces-sim rirs shoebox.obj --config ")

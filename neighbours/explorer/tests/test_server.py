@@ -150,6 +150,71 @@ def test_request_lines_that_are_none(
     assert "Traceback" not in "".join(capfd.readouterr())
 
 
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [
+        ("", 200), ("live.js", 200), ("common.js", 200), ("explore.js", 404), ("index.html", 404),
+        ("api/datasets", 404), ("api/none", 404), ("api/job", 404), ("api/scene/x", 404), ("api", 404),
+        ("api/scene", 200), ("api/sounds", 200), ("api/forecast", 200), ("api/cut?y=1", 200),
+        ("api/cut?y=nan", 400), ("api/sound?name=../x", 400), ("api/sound?name=clap", 200),
+        ("api/pair?s=1,1,0&l=4,3,0", 200), ("api/pair?s=1,1,0", 400), ("api/pair?s=1,1,9&l=4,3,0", 400),
+        ("api/pair?s=1,1,nan&l=4,3,0", 400), ("api/pair?s=1e9,1,0&l=4,3,0", 400),
+        ("api/pair?s=1,1,0&l=40,3,0", 400), ("api/pair?s=1,1,0&l=4,3,0&m=0", 400),
+        ("api/pair?s=1,1,0&l=4,3,0&m=99~0.1:0.1:0.1:0.1", 400), ("api/pair?s=1,1,0&l=4,3,0&m=../~1", 400),
+        ("api/pair?s=1,1,0&l=4,3,0&m=0~2:2:2:2", 400), ("api/pair?s=1,1,0&l=4,3,0&after=x", 400),
+        ("api/response?s=1,1,0&l=4,3,0&heading=inf", 400),
+    ],
+)  # fmt: skip
+def test_what_is_asked_of_a_live_scene(live_server: ExplorerServer, path: str, status: int) -> None:
+    got, headers, body = _ask(live_server, f"/{live_server.token}/{path}")
+    assert got == status, body
+    if status != 200:
+        assert headers["content-type"] == "application/json" and set(json.loads(body)) == {"error"}
+
+
+def test_the_page_of_a_live_scene_is_told_of_its_mesh(live_server: ExplorerServer) -> None:
+    """Lines of a box: its walls at the points' height, floor and ceiling in the section; responses are its own."""
+    scene = json.loads(_api(live_server, "scene")[1])
+    assert {m["name"] for m in scene["materials"]} == {"carpet", "gypsum-board", "acoustic-tile"}
+    areas = {m["name"]: m["area"] for m in scene["materials"]}
+    assert areas == {"carpet": 30.0, "acoustic-tile": 30.0, "gypsum-board": 66.0}
+    lines = np.array(scene["plans"][0])
+    length = np.hypot(lines[:, 3] - lines[:, 1], lines[:, 4] - lines[:, 2]).sum()
+    assert length == pytest.approx(22.0, abs=0.01)
+    cut = np.array(json.loads(_api(live_server, "cut?y=2")[1])["lines"])
+    assert np.hypot(cut[:, 3] - cut[:, 1], cut[:, 4] - cut[:, 2]).sum() == pytest.approx(18.0, abs=0.01)
+    status, body = _api(live_server, "response?s=1,1,0&l=4,3,0&heading=30")
+    ears = np.frombuffer(body, "<f4").reshape(2, -1)
+    assert status == 200 and np.isfinite(ears).all()
+    level = np.abs(ears).max(axis=0)
+    onset = np.flatnonzero(level > 0.2 * level.max())[0] / 16000
+    assert onset == pytest.approx(np.hypot(3.0, 2.0) / 343.0, abs=0.001)
+
+
+def test_one_request_writes(live_server: ExplorerServer, server: ExplorerServer) -> None:
+    """A POST without a body, by this page: not by others, and not of datasets."""
+    own = f"127.0.0.1:{live_server.server_port}"
+    path = f"/{live_server.token}/api/job?s=1,1,0&l=4,3,0&spacing=5"
+    for headers, status in (
+        ({"Origin": "http://evil.example"}, 403), ({"Origin": "null"}, 403), ({"Content-Length": "2"}, 400),
+        ({"Transfer-Encoding": "chunked"}, 400), ({"Host": "evil.example"}, 403), ({}, 200),
+        ({"Origin": f"http://{own}"}, 200),
+    ):  # fmt: skip
+        link = http.client.HTTPConnection("127.0.0.1", live_server.server_port, timeout=30)
+        link.putrequest("POST", path, skip_host=True)
+        for name, value in {"Host": own, **headers}.items():
+            link.putheader(name, value)
+        link.endheaders()
+        answer = link.getresponse()
+        assert answer.status == status, headers
+        answer.read()
+        link.close()
+    assert _ask(live_server, path.replace("api/job", "api/scene"), "POST")[0] == 404
+    assert _ask(live_server, "/x/api/job", "POST")[0] == 404
+    assert _ask(live_server, path.replace("spacing=5", "spacing=nan"), "POST")[0] == 400
+    assert _ask(server, f"/{server.token}/api/job", "POST")[0] == 405
+
+
 def test_clients_that_go_away(server: ExplorerServer, capfd: pytest.CaptureFixture[str]) -> None:
     at_once = struct.pack("ii", 1, 0)  # closed by a reset
     for sent in (

@@ -40,7 +40,7 @@ def export_explorer(
         publish(folder / name, data)
         size += len(data)
 
-    for name in ("index.html", "explore.js", "explore.css"):
+    for name in ("index.html", "common.js", "explore.js", "explore.css"):
         write(name, (files("soundspaces_explorer") / "page" / name).read_bytes())
     whole = {
         **payloads.overview(ds),

@@ -11,20 +11,17 @@ from soundspaces_sim import Echogram, PairIndexError, RirDataset
 from soundspaces_sim.echogram import room_measures
 from soundspaces_sim.parts import (
     decay_curve,
-    hand_clap,
     has_octave,
     levels_of,
     low_levels,
-    music,
     nominal,
     octaves_below,
     read_floorplan,
     storeys_of,
-    syllables,
 )
 
 DECAY_BIN_S = 0.01
-SOUNDS = {"clap": hand_clap, "speech": syllables, "music": music}
+SOUNDS = ("speech", "clap", "music")
 _LOWEST_DB = -80.0
 _MEASURES = ("t30", "edt", "c50", "c80", "d50", "drr")
 _OF_WAVES = ("t20", "edt", "c50", "c80", "d50")
@@ -42,19 +39,18 @@ def overview(ds: RirDataset) -> dict[str, Any]:
         "spacing": m.config.grid.spacing,
         "bands": list(m.config.simulation.bands),
         "speedOfSound": m.config.simulation.c,
-        "points": _list(ds.points, 3),
+        "points": rounded(ds.points, 3),
         "storey": storey.tolist(),
         "nodes": list(m.nodes),
         "edges": [list(e) for e in m.edges],
-        "walls": [_list(walls, 3) for walls in plan.walls],
+        "walls": [rounded(walls, 3) for walls in plan.walls],
     }
 
 
 def pair(ds: RirDataset, s: int, l: int) -> dict[str, Any]:
     """Decay curves, measures, errors and discrete arrivals of a pair, and measures of its waves."""
     e = ds.echogram(s, l)
-    curve = decay_curve(e.histogram(DECAY_BIN_S))
-    curve = np.where(np.isfinite(curve), np.maximum(curve, _LOWEST_DB), _LOWEST_DB)
+    curve, _ = decay_of(e)
     measures = room_measures(e)
     offset = ds.points[s] - ds.points[l]
     return {
@@ -63,12 +59,18 @@ def pair(ds: RirDataset, s: int, l: int) -> dict[str, Any]:
         "visible": bool(e.visible),
         "distance": round(float(np.linalg.norm(offset)), 3),
         "binSeconds": DECAY_BIN_S,
-        "decay": _list(curve, 2),
-        "measures": {name: _list(getattr(measures, name), 4) for name in _MEASURES},
-        "error": _list(e.relative_error, 4),
-        "arrivals": _arrivals(e),
+        "decay": rounded(curve, 2),
+        "measures": {name: rounded(getattr(measures, name), 4) for name in _MEASURES},
+        "error": rounded(e.relative_error, 4),
+        "arrivals": arrivals_of(e),
         "waves": _waves(ds, e, s, l),
     }
+
+
+def decay_of(e: Echogram) -> tuple[np.ndarray, float]:
+    """(B, n) decay curves, dB re all energy, and the seconds between two of their values."""
+    curve = decay_curve(e.histogram(DECAY_BIN_S))
+    return np.where(np.isfinite(curve), np.maximum(curve, _LOWEST_DB), _LOWEST_DB), DECAY_BIN_S
 
 
 def _waves(ds: RirDataset, e: Echogram, s: int, l: int) -> dict[str, Any] | None:
@@ -80,12 +82,12 @@ def _waves(ds: RirDataset, e: Echogram, s: int, l: int) -> dict[str, Any] | None
     return {
         "edge": e.low.edge,
         "bands": [nominal(f) for f in found.bands.centre],
-        "level": _list(low_levels(e.low, edges), 2),
-        "measures": {name: _list(found[name][0], 4) for name in _OF_WAVES},
+        "level": rounded(low_levels(e.low, edges), 2),
+        "measures": {name: rounded(found[name][0], 4) for name in _OF_WAVES},
     }
 
 
-def _arrivals(e: Echogram) -> list[dict[str, Any]]:
+def arrivals_of(e: Echogram) -> list[dict[str, Any]]:
     """Discrete arrivals: delay, direction at the listener, mean level re 1 J at 1 m, mirrors and edges met."""
     out = []
     for a in e.arrivals:
@@ -93,7 +95,7 @@ def _arrivals(e: Echogram) -> list[dict[str, Any]]:
         out.append(
             {
                 "delay": round(a.delay, 6),
-                "direction": _list(a.direction, 4),
+                "direction": rounded(a.direction, 4),
                 "level": round(level, 1),
                 "order": len(a.planes) + 2 * len(a.edges),
             }
@@ -113,9 +115,13 @@ def response(ds: RirDataset, s: int, l: int, heading_deg: float) -> np.ndarray:
     return ds.binaural(s, l, heading_deg)
 
 
+@lru_cache(maxsize=8)
 def sound(name: str, rate: int) -> np.ndarray:
     """(n,) float32: a dry sound by name, peak 0.5."""
-    signal = np.asarray(SOUNDS[name](rate), np.float32)
+    from soundspaces_sim.parts import hand_clap, music, syllables  # scipy.signal takes a second to load
+
+    makers = {"speech": syllables, "clap": hand_clap, "music": music}
+    signal = np.asarray(makers[name](rate), np.float32)
     return np.asarray(0.5 * signal / np.abs(signal).max(), np.float32)
 
 
@@ -126,9 +132,9 @@ def check_pair(ds: RirDataset, *points: int) -> None:
             raise PairIndexError(f"point {point} is not among 0 to {len(ds.points) - 1}")
 
 
-def _list(values: Any, digits: int) -> Any:
+def rounded(values: Any, digits: int) -> Any:
     """Nested lists of rounded numbers; NaN and infinity, which JSON does not have, are None."""
     array = np.asarray(values, float)
     if array.ndim == 0:
         return round(float(array), digits) if np.isfinite(array) else None
-    return [_list(row, digits) for row in array]
+    return [rounded(row, digits) for row in array]

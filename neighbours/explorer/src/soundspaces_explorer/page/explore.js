@@ -2,11 +2,7 @@
 // The explorer's page. State in one object; everything that is drawn or heard follows from it.
 // Data come from the server beside this page, or, opened from disk, from scripts beside it (`explorerData`).
 
-const BANDS = ["#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#d55e00", "#777777", "#000000"];
-const FADE_S = 0.08, HEADING_STEP = 10;
-const LEFT = 46, RIGHT = 66, TOP = 30, BOTTOM = 40; // px about the plan: axes, colour bar, scale bar
-const DEVICE_S = 3; // s that the audio device may take to start
-const $ = (id) => document.getElementById(id);
+const HEADING_STEP = 10;
 const state = { name: "", data: null, source: 0, listener: 0, heading: 0, storey: 0, pair: null, field: null };
 
 // ---- where data come from -------------------------------------------------------------------------------------------
@@ -30,12 +26,6 @@ function script(name, key) {
     tag.onerror = () => fail(new Error(`${name} is missing`));
     document.head.append(tag);
   });
-}
-
-async function get(path) {
-  const answer = await fetch(path);
-  if (!answer.ok) throw new Error((await answer.json().catch(() => ({}))).error || `${answer.status}`);
-  return answer;
 }
 
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
@@ -75,25 +65,11 @@ const disk = {
 };
 
 const data = fromDisk ? disk : server;
-const split = (flat) => [flat.subarray(0, flat.length / 2), flat.subarray(flat.length / 2)];
 const choices = () => state.data.chosen || state.data.points.map((_, i) => i);
 
 // ---- sound: input -> the convolver of this pair and heading, cross-faded with the one before -> volume ---------------
 
 const audio = { context: null, input: null, volume: null, now: null, playing: null, stream: null, wanted: 0 };
-
-function buffer(context, channels) {
-  const out = context.createBuffer(channels.length, Math.max(channels[0].length, 1), context.sampleRate);
-  channels.forEach((samples, c) => out.copyToChannel(new Float32Array(samples), c));
-  return out;
-}
-
-function ears(context, channels) {
-  const node = context.createConvolver();
-  node.normalize = false; // the reader's samples are what is heard
-  node.buffer = buffer(context, channels);
-  return node;
-}
 
 async function start() {
   if (!audio.context || audio.context.sampleRate !== state.data.rate) {
@@ -104,9 +80,7 @@ async function start() {
     audio.volume.connect(audio.context.destination);
     audio.now = audio.playing = null;
   }
-  // Firefox waits for ever where there is no device.
-  const late = new Promise((_, fail) => setTimeout(fail, DEVICE_S * 1000, new Error("the browser found no device to play sound on")));
-  await Promise.race([audio.context.resume(), late]);
+  await resumed(audio.context);
 }
 
 async function listen() {
@@ -114,19 +88,7 @@ async function listen() {
   const asked = ++audio.wanted;
   const channels = await data.response(state.name, state.source, state.listener, state.heading);
   if (asked !== audio.wanted) return; // somebody has moved on
-  const { context } = audio, time = context.currentTime;
-  const next = { node: ears(context, channels), gain: new GainNode(context, { gain: 0 }) };
-  audio.input.connect(next.node).connect(next.gain).connect(audio.volume);
-  next.gain.gain.setValueAtTime(0, time);
-  next.gain.gain.linearRampToValueAtTime(1, time + FADE_S);
-  const before = audio.now;
-  audio.now = next;
-  if (before) {
-    before.gain.gain.cancelScheduledValues(time);
-    before.gain.gain.setValueAtTime(before.gain.gain.value, time);
-    before.gain.gain.linearRampToValueAtTime(0, time + FADE_S);
-    setTimeout(() => { audio.input.disconnect(before.node); before.gain.disconnect(); }, 1000 * FADE_S + 200);
-  }
+  audio.now = crossfaded(audio.context, audio.input, audio.volume, channels, audio.now);
 }
 
 function stop() {
@@ -140,11 +102,7 @@ function stop() {
 async function dry() {
   const file = $("file").files[0];
   if ($("sound").value === "file" && file) {
-    const decoded = await audio.context.decodeAudioData(await file.arrayBuffer());
-    const mono = new Float32Array(decoded.length);
-    for (let c = 0; c < decoded.numberOfChannels; c++)
-      decoded.getChannelData(c).forEach((x, i) => { mono[i] += x / decoded.numberOfChannels; });
-    return mono;
+    return monoOf(audio.context, file);
   }
   return data.sound(state.name, $("sound").value);
 }
@@ -187,15 +145,6 @@ window.explorerRender = async (samples, s, l, heading) => {
 
 // ---- the plan --------------------------------------------------------------------------------------------------------
 
-function canvas(id) {
-  const element = $(id), ratio = window.devicePixelRatio || 1;
-  element.width = Math.round(element.clientWidth * ratio);
-  element.height = Math.round(element.clientHeight * ratio);
-  const pen = element.getContext("2d");
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  return [pen, element.clientWidth, element.clientHeight];
-}
-
 function view(width, height) {
   const all = [...state.data.walls[state.storey] || [], ...state.data.points.map((p) => [p[0], p[1], p[0], p[1]])];
   let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
@@ -203,54 +152,7 @@ function view(width, height) {
     x0 = Math.min(x0, w[0], w[2]); x1 = Math.max(x1, w[0], w[2]);
     y0 = Math.min(y0, w[1], w[3]); y1 = Math.max(y1, w[1], w[3]);
   }
-  const scale = Math.min((width - LEFT - RIGHT) / Math.max(x1 - x0, 1e-3), (height - TOP - BOTTOM) / Math.max(y1 - y0, 1e-3));
-  const dx = LEFT + (width - LEFT - RIGHT - scale * (x1 - x0)) / 2, dy = BOTTOM + (height - TOP - BOTTOM - scale * (y1 - y0)) / 2;
-  return { scale, low: [x0, y0], high: [x1, y1], at: (p) => [dx + scale * (p[0] - x0), height - dy - scale * (p[1] - y0)],
-    back: (x, y) => [(x - dx) / scale + x0, (height - dy - y) / scale + y0] };
-}
-
-// ---- axes ------------------------------------------------------------------------------------------------------------
-
-const minus = (text) => `${text}`.replace("-", "−");
-
-// The least of 1, 2, 5, 10, … that is at least so much.
-function round(least) {
-  const power = 10 ** Math.floor(Math.log10(least));
-  return power * [1, 2, 5, 10].find((k) => k * power >= least * (1 - 1e-9));
-}
-
-function ticks(low, high, step) {
-  const out = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) out.push(k * step);
-  return out;
-}
-
-function label(pen, text, x, y, align = "center", turned = false) {
-  pen.save(); pen.translate(x, y); if (turned) pen.rotate(-Math.PI / 2);
-  pen.font = "11px system-ui"; pen.fillStyle = "#555"; pen.textAlign = align; pen.textBaseline = "middle";
-  pen.fillText(text, 0, 0);
-  pen.restore();
-}
-
-function drawAxes(pen, { scale, low, high, at }) {
-  const step = round(48 / scale), digits = step < 1 ? Math.ceil(-Math.log10(step)) : 0;
-  const [left, bottom] = at(low), [right, top] = at(high), number = (v) => minus((+v.toFixed(digits) + 0).toFixed(digits));
-  pen.lineWidth = 1; pen.strokeStyle = "#999"; pen.beginPath();
-  pen.moveTo(left - 8, top); pen.lineTo(left - 8, bottom + 8); pen.lineTo(right, bottom + 8);
-  for (const v of ticks(low[0], high[0], step)) {
-    const [x] = at([v, 0]);
-    pen.moveTo(x, bottom + 8); pen.lineTo(x, bottom + 12); label(pen, number(v), x, bottom + 19);
-  }
-  for (const v of ticks(low[1], high[1], step)) {
-    const [, y] = at([0, v]);
-    pen.moveTo(left - 12, y); pen.lineTo(left - 8, y); label(pen, number(v), left - 15, y, "right");
-  }
-  pen.stroke();
-  label(pen, "x (m)", (left + right) / 2, bottom + 32);
-  label(pen, "y (m)", left - 38, (top + bottom) / 2, "center", true);
-  pen.lineWidth = 3; pen.strokeStyle = "#1b1b1b"; pen.beginPath();
-  pen.moveTo(left, top - 14); pen.lineTo(left + step * scale, top - 14); pen.stroke();
-  label(pen, `${step} m`, left + step * scale + 6, top - 14, "left");
+  return fitted([x0, y0], [x1, y1], width, height);
 }
 
 function drawColours(pen, low, high, { at, ...box }) {
@@ -303,7 +205,7 @@ function drawPlan() {
   if (state.pair && $("show-rays").checked) drawRays(pen, at);
   const [sx, sy] = at(points[state.source]), [lx, ly] = at(points[state.listener]);
   star(pen, sx, sy);
-  head(pen, lx, ly);
+  head(pen, lx, ly, state.heading);
 }
 
 function drawRays(pen, at) {
@@ -337,25 +239,6 @@ function mirrorPoint(s, image, l) {
   const way = image.map((x, k) => x - l[k]);
   const t = dot(n, middle.map((x, k) => x - l[k])) / (dot(n, way) || 1e-9);
   return l.map((x, k) => x + t * way[k]);
-}
-
-function star(pen, x, y) {
-  pen.beginPath();
-  for (let k = 0; k < 10; k++) {
-    const r = k % 2 ? 4.5 : 11, a = Math.PI * (k / 5 - 0.5);
-    pen.lineTo(x + r * Math.cos(a), y + r * Math.sin(a));
-  }
-  pen.closePath(); pen.fillStyle = "#d55e00"; pen.strokeStyle = "#fff"; pen.lineWidth = 1.5; pen.fill(); pen.stroke();
-}
-
-function head(pen, x, y) {
-  const a = -state.heading * Math.PI / 180;
-  pen.save(); pen.translate(x, y); pen.rotate(a);
-  pen.beginPath(); pen.moveTo(17, 0); pen.lineTo(8, -6); pen.lineTo(8, 6); pen.closePath(); // the nose
-  pen.fillStyle = "#0072b2"; pen.fill();
-  pen.beginPath(); pen.arc(0, 0, 9, 0, 7); pen.fill(); pen.strokeStyle = "#fff"; pen.lineWidth = 1.5; pen.stroke();
-  pen.fillRect(-3, -13, 6, 4); pen.fillRect(-3, 9, 6, 4); // ears
-  pen.restore();
 }
 
 // ---- decay curves and numbers ----------------------------------------------------------------------------------------
@@ -394,8 +277,6 @@ function drawDecay() {
 
 const UNITS = { t20: ["T20", "s", 2], t30: ["T30", "s", 2], edt: ["EDT", "s", 2], c50: ["C50", "dB", 1], c80: ["C80", "dB", 1], d50: ["D50", "", 2],
   drr: ["DRR", "dB", 1] };
-const number = (v, digits) => v === null ? "–" : minus((+v.toFixed(digits) + 0).toFixed(digits));
-
 function addRow(table, name, cells, kind) {
   const tr = table.insertRow();
   const th = document.createElement("th");
