@@ -6,6 +6,12 @@ from .build.engines.local import (
 from .build.rooms import (
     in_processes,
 )
+from .build.warm_up import (
+    WarmUp,
+)
+from .build.warm_up import (
+    start as compile_ahead,
+)
 from .cli.console import (
     INTERRUPTED,
     Meter,
@@ -425,6 +431,7 @@ __all__ = [
     "SpecularPlanes",
     "TableEntry",
     "TaskName",
+    "WarmUp",
     "WaveField",
     "absorption_shares",
     "air_transmission",
@@ -446,6 +453,7 @@ __all__ = [
     "closedness",
     "closure_error_db",
     "combine_keys",
+    "compile_ahead",
     "convert_ambisonics",
     "core_count",
     "data_delay",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shlex
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ import pytest
 from msgspec import structs
 from soundspaces_explorer.absorption import chosen_table, materials_file, with_absorption
 from soundspaces_explorer.job import JobMaker
-from soundspaces_explorer.live import Answer, LiveScene, Question, Step
+from soundspaces_explorer.live import Answer, LiveScene, NotYetError, Question, Step
 
 import soundspaces_sim as ss
 
@@ -164,6 +165,32 @@ def test_a_job_is_written_once_and_its_command_is_one(
     assert jobs.forecast()["pairs"] == 81 and told[0][4] == "plan"
     with pytest.raises(ss.ConfigError, match="spacing"):
         jobs.write(float("nan"), ())
+
+
+class _Compiling:
+    """Stands for children that compile, until they are let go."""
+
+    def __init__(self) -> None:
+        self.go = threading.Event()
+
+    def wait(self, tell: Any) -> None:
+        tell(400, 1000)
+        assert self.go.wait(60.0)
+
+
+def test_while_kernels_are_compiled_the_page_is_told(
+    live_scene: LiveScene, few_steps: tuple[Step, ...]
+) -> None:
+    assert few_steps
+    compiling: Any = _Compiling()
+    waiting = LiveScene(live_scene.scene, live_scene.config, compiling=compiling)
+    source, listener, storey = waiting.first_places()
+    assert storey == 0 and not np.array_equal(source, listener)
+    with pytest.raises(NotYetError, match="Compiling.* 40 %"):
+        waiting.ask(Question(A, B), wait_s=0.2)
+    compiling.go.set()
+    assert waiting.ask(Question(A, B), wait_s=60.0).kind == "estimate"
+    waiting.close()
 
 
 def test_what_cannot_be_asked(live_scene: LiveScene) -> None:

@@ -19,6 +19,7 @@ from soundspaces_sim.parts import (
     Read,
     ReplaceOption,
     check_rate,
+    compile_ahead,
     open_found,
     output_folder,
     run_app,
@@ -86,9 +87,10 @@ def _live(name: str, read: Read, out: Path, rate: int, hrtf: Path | None) -> Liv
     from soundspaces_explorer.live_api import LiveSession
 
     check_rate(rate)
+    compiling = compile_ahead()
     with Meter("Loading the scene"):
         scene = read()
-        live = LiveScene(scene, hrtf=hrtf)
+        live = LiveScene(scene, hrtf=hrtf, compiling=compiling)
     options = getattr(read, "keywords", {})
     session = LiveSession(live, JobMaker(scene, name, options, out, live.bands), rate)
     threading.Thread(target=session.warm_up, daemon=True).start()

@@ -10,6 +10,7 @@ absorption is read from the counts of reflections at once, and then simulated.
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -40,10 +41,14 @@ from soundspaces_sim import (
     room_parameters,
 )
 from soundspaces_sim.parts import (
+    Geometry,
     SimulatedPaths,
+    WarmUp,
     at_points,
+    cast_ray,
     check_inside,
     direct_arrival,
+    kernel,
     prepare_scene,
     simulate_pairs,
 )
@@ -64,7 +69,7 @@ _QUICK = 3  # of them are made by the first thread
 _KEPT = 8  # estimates: A, B, and places that one comes back to
 _SPACING = 0.5  # m, of the points that tell where one can stand
 _GROUPS = 12  # materials whose reflections are counted: the most there can be
-_LOOKED_AT = 6  # places of a source to begin with
+_LOOKED_AT = 24  # places of a source to begin with
 _LEAST = 1e-3  # share that a surface reflects at least
 _MEASURES = ("t30", "c50", "sti")
 
@@ -102,6 +107,10 @@ class Answer:
     measures: Mapping[str, np.ndarray]
 
 
+class NotYetError(Exception):
+    """There is nothing to be heard yet; the message says why."""
+
+
 class LiveScene:
     """A scene, where one can stand in it, and the threads that simulate. Raises `SceneError`, `ConfigError`."""
 
@@ -111,6 +120,7 @@ class LiveScene:
         config: SimulationConfig | None = None,
         seed: int = 0,
         hrtf: str | Path | None = None,
+        compiling: WarmUp | None = None,
     ) -> None:
         self.scene, self.seed, self._hrtf = scene, seed, hrtf
         self.config = config or SimulationConfig()
@@ -125,7 +135,10 @@ class LiveScene:
         self._last: Estimate | None = None
         self._failed: dict[Question, SoundSpacesSimError] = {}
         self._version, self._closed = 0, False
+        self._compiled = 1.0 if compiling is None else 0.0  # share
+        self._kernels = threading.Event()
         self._changed = threading.Condition()
+        threading.Thread(target=self._compile, args=(compiling,), daemon=True).start()
         for steps in (range(_QUICK), range(_QUICK, len(STEPS))):
             threading.Thread(target=self._work, args=(steps,), daemon=True).start()
 
@@ -134,8 +147,19 @@ class LiveScene:
         """Edges, Hz."""
         return self.config.bands
 
+    def _compile(self, compiling: WarmUp | None) -> None:
+        """Wait for the kernels, once per installation, while the page shows the plan."""
+
+        def tell(done: int, total: int) -> None:
+            self._compiled = done / total
+
+        if compiling is not None:
+            compiling.wait(tell)
+        self._kernels.set()
+
     def warm_up(self, rate: int) -> None:
         """Make the first estimate, and load what renders it, while a browser opens."""
+        self._kernels.wait()
         source, listener, storey = self.first_places()
         there, here = (
             self.place(round(float(p[0]), 3), round(float(p[1]), 3), storey) for p in (source, listener)
@@ -177,18 +201,16 @@ class LiveScene:
         middle = points[np.linalg.norm(points - points.mean(axis=0), axis=1).argmin()]
         away = np.linalg.norm(points - middle, axis=1)
         order = np.argsort(np.abs(away - 3.0), kind="stable")[:_LOOKED_AT]
-        with self._making:
-            paths = self._world(()).paths
-        with self._paths_lock:
-            walls = [paths.between(points[k], middle).walls for k in order]
-        return points[order[int(np.argmin(walls))]], middle, storey
+        seen = np.empty(len(order), np.bool_)
+        _see(self.scene.geometry, points[order] - self.scene.center, middle - self.scene.center, seen)
+        return points[order[int(np.argmax(seen))]], middle, storey
 
     # ---- questions ----
 
     def ask(self, question: Question, after: int = -1, wait_s: float = 10.0) -> Answer:
         """The best that is known now; with `after` a version, once there is a later one, or `wait_s` have passed.
 
-        Raises `PointError`, `MaterialError`, and what the simulation of the question raised.
+        Raises `NotYetError`, `PointError`, `MaterialError`, and what the simulation of the question raised.
         """
         with self._changed:
             if question != self._wanted:
@@ -202,8 +224,13 @@ class LiveScene:
                 raise self._failed[question]
             best, version = self._best(question), self._version
         if best is None:
-            raise ConfigError("the first estimate is not there yet; ask again")
+            raise NotYetError(self._why_not())
         return self._answer(question, best, version)
+
+    def _why_not(self) -> str:
+        if self._kernels.is_set():
+            return "Making the first estimate …"
+        return f"Compiling, once per installation: {100.0 * self._compiled:.0f} % …"
 
     def _best(self, question: Question) -> Estimate | None:
         """The question's own estimate or, until that is as good, one of its places with other absorption, or else
@@ -302,6 +329,7 @@ class LiveScene:
                 task = self._next(steps)
                 assert task is not None
             question, step = task
+            self._kernels.wait()
             try:
                 estimate = Estimate(question, step, self._simulate(question, step))
             except SoundSpacesSimError as error:
@@ -366,6 +394,19 @@ class _World:
             made = at_points(prepare_scene(self.scene, config), points, self._seed)
             self._models[step], self._duration = made, made.duration
         return self._models[step]
+
+
+@kernel
+def _see(geometry: Geometry, points: np.ndarray, place: np.ndarray, seen: np.ndarray) -> None:
+    """Whether nothing lies between points (n, 3) and a place (3,), about the scene's centre."""
+    for k in range(len(points)):
+        x, y, z = place[0] - points[k, 0], place[1] - points[k, 1], place[2] - points[k, 2]
+        r = math.sqrt(x * x + y * y + z * z)
+        seen[k] = r <= _LEAST
+        if r > _LEAST:
+            origin = points[k, 0], points[k, 1], points[k, 2]
+            _, triangle = cast_ray(geometry, origin, (x / r, y / r, z / r), r)
+            seen[k] = triangle < 0
 
 
 def _refurnished(echogram: Echogram, other: Mapping[str, np.ndarray]) -> Echogram:

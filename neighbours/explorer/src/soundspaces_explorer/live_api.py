@@ -14,9 +14,9 @@ from soundspaces_explorer.answers import (
     sound_answer,
 )
 from soundspaces_explorer.job import JobMaker
-from soundspaces_explorer.live import LiveScene
+from soundspaces_explorer.live import LiveScene, NotYetError
 
-_WAIT_S = 10.0  # that an answer waits for a better estimate
+_WAIT_S = 5.0  # that an answer waits for a better estimate
 
 
 class LiveSession:
@@ -57,10 +57,17 @@ class LiveSession:
     def _pair(self, query: dict[str, str]) -> Answered:
         question = live_payloads.question_of(self.scene, query)
         after = int(number_in(query, "after", 1e9, "a version"))
-        answer = self.scene.ask(question, after, _WAIT_S)
+        try:
+            answer = self.scene.ask(question, after, _WAIT_S)
+        except NotYetError as error:
+            return json_answer({"waiting": str(error)})
         return json_answer(live_payloads.answer_of(question, answer))
 
     def _response(self, query: dict[str, str]) -> Answered:
         question = live_payloads.question_of(self.scene, query)
         heading = number_in(query, "heading", 3600.0, "degrees")
-        return floats_answer(self.scene.ears(self.scene.ask(question), heading, self.rate))
+        try:
+            answer = self.scene.ask(question)
+        except NotYetError as error:
+            raise RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from error
+        return floats_answer(self.scene.ears(answer, heading, self.rate))

@@ -35,6 +35,7 @@ async function follow() {
   let version = -1;
   while (asking === mine) {
     const answer = await json(`api/pair?${asked}&after=${version}`, mine.signal);
+    if (answer.waiting) { $("progress-text").textContent = answer.waiting; continue; }
     if (asking !== mine) return;
     if (answer.version !== version) {
       version = answer.version;
@@ -385,6 +386,7 @@ guarded(async () => {
   Object.assign(state, { scene, storey: scene.storey, source: [scene.source[0], scene.source[1], scene.storey], listener: [scene.listener[0], scene.listener[1], scene.storey] });
   state.heading = Math.round(Math.atan2(state.source[1] - state.listener[1], state.source[0] - state.listener[0]) * 180 / Math.PI / TURN) * TURN;
   $("title").textContent = scene.name;
+  $("progress-text").textContent = "Making the first estimate …";
   $("sound").replaceChildren(...sounds.map((name) => new Option(name)), new Option("own file"));
   $("storey").replaceChildren(...scene.plans.map((_, k) => new Option(`${k + 1}`, k, false, k === state.storey)));
   $("storey-label").hidden = scene.plans.length < 2;
