@@ -14,6 +14,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import need
+from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env_options import EnvOptions, env_options
 from soundspaces_sim.nav.episode_state import EpisodeState
@@ -186,7 +187,7 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         self.action_space = self.setting.action_space
         self.render_mode = render_mode
         self.state: EpisodeState | None = None
-        self.trail: list[int] = []
+        self.trail: list[Any] = []  # poses: states of the graph, or (x, y, facing)
         self._number = 0
 
     def _make_setting(self, data: str | Path | NavData, options: Mapping[str, Any]) -> Any:
@@ -237,10 +238,12 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
             return None
         if self.state is None:
             raise ResetNeeded("call reset() before render()")
-        dataset = self.setting.data.dataset(self.state.episode.scene)
+        return self._draw(self.setting.data.dataset(self.state.episode.scene), self.state)
+
+    def _draw(self, dataset: RirDataset, state: Any) -> np.ndarray:
         from soundspaces_sim.nav.map_page import map_frame  # matplotlib
 
-        return map_frame(dataset, self.state, self.trail)
+        return map_frame(dataset, state, self.trail)
 
     def close(self) -> None:
         """Close the datasets' files."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -17,6 +17,7 @@ from soundspaces_sim.nav.continuous.agents import EAR_S, direction_of, interaura
 from soundspaces_sim.nav.continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
 from soundspaces_sim.nav.continuous.savnce import savnce_options, savnce_own_sensors
 from soundspaces_sim.nav.continuous.sensor_suite import interaural
+from soundspaces_sim.nav.map_page import _page
 from tests.marks import ci_slow
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
 from tests.nav.continuous_twin import BLOCK, RATE, Twin, below
@@ -227,6 +228,39 @@ def drawn(data: nav.NavData, count: int) -> list[nav.ContinuousEpisode]:
     return found
 
 
+def test_the_map_shows_agent_and_goal_where_they_are(data: nav.NavData) -> None:
+    """Made as Stable-Baselines3 makes environments; where the picture changes is where the agent went."""
+    env = gymnasium.make(
+        "SoundSpaces/AudioGoalContinuous-v0",
+        data=data,
+        scenes=SCENES,
+        sensors=HEARD,
+        render_mode="rgb_array",
+    )
+    env.reset(seed=3)
+    first: Any = env.render()
+    assert first.dtype == np.uint8 and first.ndim == 3 and first.shape[2] == 3 and first.std() > 10.0
+    again: Any = env.render()
+    assert np.array_equal(first, again)
+    own = cast(ContinuousNavEnv, env.unwrapped)
+    state = own.state
+    assert state is not None
+    while not state.over and state.path < 1.0:
+        env.step(state.oracle_action())
+    second: Any = env.render()
+    axes = _page(own.setting.data.dataset(state.episode.scene).path, state.episode.goals[0].route[0]).map
+    changed = (first != second).any(axis=2)
+    changed[: round(len(first) - axes.get_window_extent().y1)] = False  # the title
+    rows, columns = np.nonzero(changed)
+    places = np.array([pose[:2] for pose in own.trail])
+    pixels = axes.transData.transform(places)
+    pixels[:, 1] = len(first) - pixels[:, 1]
+    low, high = pixels.min(axis=0) - 20.0, pixels.max(axis=0) + 20.0  # a marker's reach
+    assert (columns >= low[0]).all() and (columns <= high[0]).all()
+    assert (rows >= low[1]).all() and (rows <= high[1]).all()
+    assert np.linalg.norm([np.ptp(columns), np.ptp(rows)]) >= np.linalg.norm(pixels[-1] - pixels[0])
+
+
 def test_bad_input(data: nav.NavData) -> None:
     for options, text in (
         ({"sensors": ("smell",)}, "unknown where poses are continuous"),
@@ -237,7 +271,7 @@ def test_bad_input(data: nav.NavData) -> None:
         ({"turn": 3}, "turn"),
         ({"step_time": 0.01, "fade": 0.005}, "256 samples"),
         ({"noises": ("nothing",)}, "sound 'nothing'"),
-        ({"render_mode": "rgb_array"}, "draw no maps"),
+        ({"render_mode": "human"}, "render_mode"),
         ({"episodes": []}, "episodes: expected at least one"),
     ):
         with pytest.raises(ConfigError, match=text):

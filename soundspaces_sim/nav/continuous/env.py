@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.nav.continuous.draw import draw_episode
 from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode
 from soundspaces_sim.nav.continuous.sensor_suite import ContinuousSensorSuite
@@ -94,14 +94,16 @@ class ContinuousNavEnv(AudioNavEnv):
     `reset(options={"episode": e})` takes a `ContinuousEpisode`, or a number of `episodes`.
     """
 
-    metadata = {"render_modes": [], "render_fps": 4}  # noqa: RUF012 - as Gymnasium declares it
     state: ContinuousState | None  # type: ignore[assignment]
     names = CONTINUOUS_NAMES
 
     def _make_setting(self, data: str | Path | NavData, options: Mapping[str, Any]) -> Any:
-        if self._arguments["render_mode"] is not None:
-            raise ConfigError("render_mode: continuous environments draw no maps; expected None")
         return ContinuousSetting(continuous_options("ContinuousNavEnv", data, options))
+
+    def _draw(self, dataset: RirDataset, state: Any) -> np.ndarray:
+        from soundspaces_sim.nav.map_page import continuous_map_frame  # matplotlib
+
+        return continuous_map_frame(dataset, state, self.trail)
 
     def _info(self, state: Any) -> dict[str, Any]:
         return _info(state)

@@ -47,6 +47,7 @@ class ContinuousState:
         self.path = 0.0
         self.collided = self.stopped = self.over = False
         self._place: Place | None = None
+        self._way: tuple[tuple[int, float, float], tuple[float, float, float]] | None = None
         self.tail: np.ndarray | None = None
         self.heard: tuple[int, np.ndarray] | None = None
         self.distance = self.way()[0]
@@ -94,8 +95,11 @@ class ContinuousState:
 
     def way(self) -> tuple[float, float, float]:
         """(distance, x, y) of the shortest way to the nearest goal, and where it first turns."""
-        ways = [self._way_to(goal) for goal in self.episode.goals]
-        return min(ways, key=lambda way: way[0])
+        key = self.steps, self.x, self.y  # steps tell where goals are
+        if self._way is None or self._way[0] != key:
+            ways = [self._way_to(goal) for goal in self.episode.goals]
+            self._way = key, min(ways, key=lambda way: way[0])
+        return self._way[1]
 
     def _way_to(self, source: SoundSource) -> tuple[float, float, float]:
         place = self.world.source_at(source, self.time)
