@@ -1,7 +1,10 @@
 """Evaluation: an agent on a list of episodes, with intervals and paired differences.
 
-Intervals are percentiles of a bootstrap that draws scenes, then episodes within them, then seeds (runs of
-training), with replacement: agents are to be compared in scenes like these, not in these.
+Intervals concern scenes and seeds (runs of training) like these, not these: the variance of a mean is the sum of
+that between scenes and that between seeds, each by the deviations of whole clusters (Liang & Zeger, Biometrika
+1986), and the ends are at Student's quantile of as many degrees of freedom as the two leave (Satterthwaite,
+Biometrics Bulletin 1946; Welch, Biometrika 1947), for scenes and seeds are few. Of one scene episodes are the
+clusters.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.stats import t as student
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.files import publish
@@ -22,23 +25,22 @@ from soundspaces_sim.core.io.untrusted import read_json
 from soundspaces_sim.nav.agents import Agent
 from soundspaces_sim.nav.metrics import NAMES
 
-_DRAWS = 2000
-
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean, the ends of its 95 % interval, and its standard `error` by the same bootstrap."""
+    """A mean, the ends of its 95 % interval, its standard `error` and that error's degrees of `freedom`."""
 
     mean: float
     low: float
     high: float
     error: float = float("nan")
+    freedom: float = float("inf")
 
     def among(self, comparisons: int) -> Interval:
         """The interval that holds with 95 % for all of so many `comparisons` together (Bonferroni's correction,
-        Dunn 1961), from the standard error: a bootstrap of some thousands has no such tails."""
-        reach = float(ndtri(1.0 - 0.025 / comparisons)) * self.error
-        return Interval(self.mean, self.mean - reach, self.mean + reach, self.error)
+        Dunn 1961), from the standard error and its degrees of freedom."""
+        reach = float(student.ppf(1.0 - 0.025 / comparisons, self.freedom)) * self.error
+        return Interval(self.mean, self.mean - reach, self.mean + reach, self.error, self.freedom)
 
     def __str__(self) -> str:
         known = np.isfinite(self.low) and np.isfinite(self.high)
@@ -55,8 +57,7 @@ class Result:
 
     def summary(self) -> dict[str, Interval]:
         """Mean and 95 % interval of every measure."""
-        weights = _bootstrap(self.rows)
-        return {name: _interval(self.rows[name], weights) for name in ("return", *self.measures)}
+        return {name: _interval(self.rows, self.rows[name]) for name in ("return", *self.measures)}
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -76,7 +77,7 @@ class Result:
             raise ConfigError(
                 f"{self.agent} ({len(mine)} rows) and {other.agent} ({len(theirs)}) did not walk the same episodes"
             )
-        return _interval(mine[measure] - theirs[measure], _bootstrap(mine))
+        return _interval(mine, mine[measure] - theirs[measure])
 
     def by_seed(self, measure: str = "spl") -> np.ndarray:
         """(seeds,) means over episodes: how runs of training differ."""
@@ -178,31 +179,26 @@ def _mean_over_seeds(rows: np.ndarray) -> np.ndarray:
     return out
 
 
-def _bootstrap(rows: np.ndarray) -> np.ndarray:
-    """(draws, rows) how often each row is drawn, each draw's weights summing to 1.
-
-    Seeds cross scenes and episodes: a draw takes some seeds for all of them.
-    """
-    rng = np.random.default_rng(0)
-    scenes, scene = np.unique(rows["scene"], return_inverse=True)
-    pairs, pair = np.unique(rows[["scene", "episode_id"]], return_inverse=True)
-    seeds, seed = np.unique(rows["seed"], return_inverse=True)
-    scene_of_pair = np.zeros(len(pairs), np.int64)
-    scene_of_pair[pair] = scene
-    members = [np.flatnonzero(scene_of_pair == s) for s in range(len(scenes))]
-    out = np.zeros((_DRAWS, len(rows)))
-    for draw in out:
-        times = np.zeros(len(pairs))
-        for s in rng.integers(len(scenes), size=len(scenes)):
-            chosen = rng.integers(len(members[s]), size=len(members[s]))
-            times += np.bincount(members[s][chosen], minlength=len(pairs))
-        of_seed = np.bincount(rng.integers(len(seeds), size=len(seeds)), minlength=len(seeds))
-        draw[:] = times[pair] * of_seed[seed]
-        draw /= draw.sum()
-    return out
+def _interval(rows: np.ndarray, values: np.ndarray) -> Interval:
+    """Of the mean of `values` (n,), one for each of `rows`; no interval where a single episode tells no spread."""
+    mean = float(values.mean())
+    scenes = rows["scene"] if len(np.unique(rows["scene"])) > 1 else rows["episode_id"]
+    terms = [_between(labels, values - mean) for labels in (scenes, rows["seed"])]
+    if terms[0][1] == 0:
+        return Interval(mean, float("nan"), float("nan"))
+    variance = sum(v for v, _ in terms)
+    of_terms = sum(v * v / freedom for v, freedom in terms if freedom > 0)
+    freedom = variance * variance / of_terms if of_terms > 0.0 else float("inf")
+    error = float(np.sqrt(variance))
+    return Interval(mean, mean, mean, error, float(freedom)).among(1)
 
 
-def _interval(values: np.ndarray, weights: np.ndarray) -> Interval:
-    draws = weights @ values
-    low, high = np.quantile(draws, (0.025, 0.975))
-    return Interval(float(values.mean()), float(low), float(high), float(draws.std(ddof=1)))
+def _between(labels: np.ndarray, deviations: np.ndarray) -> tuple[float, int]:
+    """Variance of a mean from clusters by `labels` (n,), from `deviations` (n,) from it, and its degrees of
+    freedom; (0, 0) of one cluster."""
+    names, row = np.unique(labels, return_inverse=True)
+    count = len(names)
+    if count < 2:
+        return 0.0, 0
+    sums = np.bincount(row, deviations, count) / len(deviations)
+    return float((sums**2).sum()) * count / (count - 1), count - 1

@@ -8,7 +8,7 @@ import pytest
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import make_episode
-from soundspaces_sim.nav.evaluate import Interval, Result, _dtype
+from soundspaces_sim.nav.evaluate import Interval, Result, _dtype, _interval
 from soundspaces_sim.nav.metrics import Metrics, episode_metrics
 from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
 from soundspaces_sim.nav.task import TaskOptions
@@ -105,14 +105,48 @@ def test_intervals_that_hold_for_many_comparisons_together() -> None:
     assert abs(share - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / 4000)
 
 
+@pytest.mark.parametrize(("scenes", "seeds"), [(4, 1), (8, 3), (16, 3), (4, 3)])
+def test_intervals_over_few_homes_cover_what_they_say(scenes: int, seeds: int) -> None:
+    """Homes, seeds and episodes vary about a known mean: 95 % of intervals hold it. Their sum of variances counts
+    single episodes twice, so that more than 95 % may; the most is bounded, too, for an endless interval covers all."""
+    rng, trials, episodes = np.random.default_rng(scenes * 10 + seeds), 1500, 10
+    rows = np.zeros(scenes * seeds * episodes, _dtype())
+    shape = (scenes, seeds, episodes)
+    home, run, walk = (index.ravel() for index in np.indices(shape))
+    rows["scene"], rows["seed"] = home.astype(str), run
+    rows["episode_id"] = [f"{h}-{e}" for h, e in zip(home, walk, strict=True)]
+    held, held_together = 0, 0
+    for _ in range(trials):
+        spread = 0.1 * rng.standard_normal((scenes, 1, 1)) + 0.05 * rng.standard_normal(
+            (1, seeds, 1)
+        ) * (seeds > 1)
+        rows["spl"] = (0.4 + spread + 0.2 * rng.standard_normal(shape)).ravel()
+        found = _interval(rows, rows["spl"])
+        held += found.low <= 0.4 <= found.high
+        many = found.among(20)
+        held_together += many.low <= 0.4 <= many.high
+    binomial = np.sqrt(0.95 * 0.05 / trials)
+    assert 0.95 - 4.0 * binomial <= held / trials <= 0.985
+    expected = 1.0 - 0.05 / 20
+    assert held_together / trials >= expected - 4.0 * np.sqrt(expected * (1.0 - expected) / trials)
+
+
+def test_no_interval_of_one_episode() -> None:
+    rows = np.zeros(2, _dtype())
+    rows["scene"], rows["episode_id"], rows["seed"], rows["spl"] = "a", "0", [0, 1], [0.2, 0.6]
+    found = Result("x", rows).summary()["spl"]
+    assert found.mean == pytest.approx(0.4) and not np.isfinite([found.low, found.high]).any()
+    assert str(found) == "0.400 (no interval)"
+
+
 def test_the_standard_error_of_a_mean() -> None:
-    """Of one scene, n episodes and one seed the bootstrap's error is s / sqrt(n), within 4 of its own errors."""
+    """Of one scene, n episodes and one seed it is s / sqrt(n)."""
     rows = np.zeros(400, _dtype())
     rows["episode_id"] = [str(k) for k in range(400)]
     rows["spl"] = np.random.default_rng(1).random(400)
     result = Result("x", rows)
     error = result.summary()["spl"].error
-    assert error == pytest.approx(rows["spl"].std() / 20.0, rel=4.0 / np.sqrt(2 * 2000))
+    assert error == pytest.approx(rows["spl"].std(ddof=1) / 20.0)
     two = Result("x", np.concatenate([rows, rows]))
     two.rows["seed"][400:] = 1
     two.rows["spl"][400:] += 1.0

@@ -23,7 +23,9 @@ class NetConfig:
     """Convolutions have `channels`; what they give goes through a linear layer of `features`; a GRU of `hidden`
     units remembers. `depth_kernels`, `depth_strides` and the same of the ears; those of short spectrograms
     (below 30 frames) are 5-3-3 and 2-2-1. `moves`: the previous action, or a collision, is an input. `tidy`:
-    intensities in dB and directions as sine and cosine instead of raw numbers. `stop_bias`: at the start."""
+    intensities in dB and directions as sine and cosine instead of raw numbers. `stop_bias`: at the start.
+    `loudness`: features of an encoder of the two intensities' level and difference, 0: they go into the memory as
+    two numbers."""
 
     channels: tuple[int, int, int] = (32, 64, 64)
     depth_kernels: tuple[int, int, int] = (8, 4, 3)
@@ -33,6 +35,7 @@ class NetConfig:
     moves: bool = False
     tidy: bool = False
     stop_bias: float = 0.0
+    loudness: int = 0
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ ACTIONS = 4
 MOVES = 6  # nothing yet, STOP, FORWARD, LEFT, RIGHT, FORWARD into a wall
 _SHORT = 30  # frames of a spectrogram below which kernels are smaller
 _VECTORS = {POINTGOAL: 2, "intensity": 2}
+_FLOOR = 1e-6  # of intensities: 120 dB below full scale
+_SPREAD_DB = 6.0  # that the two ears of a head differ by, as a rule
 
 
 class Encoder(nn.Sequential):
@@ -50,6 +52,21 @@ class Encoder(nn.Sequential):
         return super().forward(pictures.permute(0, 3, 1, 2))
 
 
+class LoudnessEncoder(nn.Sequential):
+    """Intensities (n, 2) of the ears to features: of their level, and of their difference, which two numbers beside
+    a hundred features of a picture hardly show: 3 dB between the ears are 0.05 of the level's scale."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__(nn.Linear(2, features), nn.ReLU(inplace=True))
+        nn.init.kaiming_normal_(self[0].weight, nonlinearity="relu")
+        nn.init.zeros_(self[0].bias)
+
+    def forward(self, intensities: Tensor) -> Tensor:
+        left, right = torch.log10(intensities + _FLOOR).unbind(dim=1)
+        level, difference = (left + right) / 6.0 + 1.0, (left - right) * (20.0 / _SPREAD_DB)
+        return super().forward(torch.stack([level, difference], dim=1))
+
+
 class Policy(nn.Module):
     """`shapes`: of each sensor's observation, without batch. Hidden states are (n, hidden), zero at a start."""
 
@@ -71,8 +88,14 @@ class Policy(nn.Module):
                 config.depth_strides,
                 config.features,
             )
-        self.vectors = [s for s in _VECTORS if s in shapes]
+        self.loudness = (
+            LoudnessEncoder(config.loudness) if config.loudness and "intensity" in shapes else None
+        )  # no entry of `encoders`: it learns in every update
+        self.vectors = [
+            s for s in _VECTORS if s in shapes and not (s == "intensity" and self.loudness is not None)
+        ]
         size = config.features * len(self.encoders) + MOVES * config.moves
+        size += config.loudness * (self.loudness is not None)
         size += sum(3 if config.tidy and s == POINTGOAL else _VECTORS[s] for s in self.vectors)
         self.gru = nn.GRU(size, config.hidden)
         self.actor, self.critic = nn.Linear(config.hidden, ACTIONS), nn.Linear(config.hidden, 1)
@@ -101,13 +124,15 @@ class Policy(nn.Module):
             made[name] if name in made else encoder(observations[name])
             for name, encoder in self.encoders.items()
         ]
+        if self.loudness is not None:
+            parts.append(self.loudness(observations["intensity"]))
         for name in self.vectors:
             values = observations[name]
             if self.config.tidy and name == POINTGOAL:
                 angle = values[:, 1:]
                 values = torch.cat([values[:, :1] / 10.0, torch.cos(angle), torch.sin(angle)], dim=1)
             elif self.config.tidy:
-                values = torch.log10(values + 1e-6) / 3.0 + 1.0
+                values = torch.log10(values + _FLOOR) / 3.0 + 1.0
             parts.append(values)
         if self.config.moves:
             parts.append(nn.functional.one_hot(moves, MOVES).float())

@@ -92,7 +92,7 @@ def _head(specs: Sequence[RunSpec], plan: Study) -> list[str]:
         f"{plan.flats[0]} + {plan.flats[1]} + {plan.flats[2]} generated flats (train, val, test), {plan.walks} "
         f"walks a point, {plan.rate} Hz, {plan.spacing:g} m grid; {plan.train_episodes:,} episodes to train with, "
         f"{plan.test_episodes} to test with in flats never seen, at most {preset(plan.preset).max_steps} actions. "
-        "Brackets are 95 % intervals of a bootstrap over scenes, episodes and seeds. Actions are sampled.",
+        "Brackets are 95 % intervals over scenes and seeds, by Student's quantile. Actions are sampled.",
         "",
         "```sh",
         *(spec.command for spec in specs),
