@@ -61,7 +61,7 @@ from soundspaces_sim.transport.arrivals.wedges import (
     wedge_coordinates,
 )
 
-MOST_EDGES = 6  # of a way: five doors of a clean mesh turn the sound away for good
+MOST_EDGES = 6  # of a way: by more, sound is some 60 dB below a free field
 TRIED = 4  # ways to a point, by different last edges, until one is free
 _MOST_WAYS = 8  # of a pair: the shortest one, and those by an edge more in whose light an end is
 _SHORTER = 1e-3  # m, by which a way must be, to be another
