@@ -77,7 +77,7 @@ def assert_not_loud(scene: ss.Scene, points: np.ndarray) -> None:
             for a in echoes[i, j].arrivals:
                 free = 4.0 * np.pi * (a.delay * SPEED) ** 2
                 assert np.isfinite(a.energy).all()
-                assert a.delay == 0.0 or (a.energy * free < _LOUDEST).all(), (i, j, a)
+                assert a.delay == 0.0 or (a.energy * free < 1.000001 * _LOUDEST).all(), (i, j, a)
 
 
 @pytest.mark.parametrize("name", ["classroom-1", pytest.param("home-2", marks=CI_SLOW), "hall-1"])

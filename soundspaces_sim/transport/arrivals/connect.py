@@ -15,6 +15,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, row
 from soundspaces_sim.echogram.echogram import EDGE_KINDS, EDGES, MIRRORS, MIRRORS_AND_BACK, REVERSE_KIND
+from soundspaces_sim.scene.rays.geometry import unoccluded
 from soundspaces_sim.transport.arrivals.cover import NEAR, cover_at
 from soundspaces_sim.transport.arrivals.double_wedge import DoubleWedgeScratch
 from soundspaces_sim.transport.arrivals.field import (
@@ -41,7 +42,7 @@ from soundspaces_sim.transport.arrivals.images import (
     sees,
 )
 from soundspaces_sim.transport.arrivals.mirrors import on_planes, straight_path, trace_mirrors, unfold
-from soundspaces_sim.transport.arrivals.scene_edges import Edges, beside, is_free
+from soundspaces_sim.transport.arrivals.scene_edges import Edges
 from soundspaces_sim.transport.arrivals.sight import (
     Seen,
     Sight,
@@ -375,7 +376,7 @@ def _add_single(
     if first.real**2 + first.imag**2 <= least[loudest]:
         return
     at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
-    if not (_reaches(context, p, e, at) and _reaches(context, q, e, at)):
+    if not (sees(context.sight, p, at) and sees(context.sight, q, at)):
         return
     for k in range(len(least)):
         mirror = _mirror(context, e, path, cos, k)
@@ -503,20 +504,11 @@ def _add_doubles(
 
 
 @part
-def _reaches(context: Context, end: End, e: int, at: Vec3) -> bool:
-    """Whether sound gets from an end to a place off an edge."""
-    view = context.sight
-    return sees(view, end, at) or sees(view, end, beside(view.geometry, context.edges.wedges, e, at))
-
-
-@part
 def _clear(context: Context, x: TwoEdgePath, p: End, q: End) -> bool:
     """Whether nothing is in the way of a path by two edges."""
     wedges, view = context.edges.wedges, context.sight
     at_e, at_f = met_point(wedges, x.e, x.z_e), met_point(wedges, x.f, x.z_f)
-    if not (_reaches(context, p, x.e, at_e) and _reaches(context, q, x.f, at_f)):
-        return False
-    return is_free(view.geometry, wedges, (x.e, x.f), (at_e, at_f))
+    return sees(view, p, at_e) and sees(view, q, at_f) and unoccluded(view.geometry, at_e, at_f)
 
 
 @part

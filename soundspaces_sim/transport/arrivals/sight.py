@@ -23,7 +23,7 @@ from soundspaces_sim.transport.arrivals.images import (
     sees,
     signed_distance,
 )
-from soundspaces_sim.transport.arrivals.scene_edges import Edges, beside
+from soundspaces_sim.transport.arrivals.scene_edges import Edges
 from soundspaces_sim.transport.arrivals.ways import Ways, find_ways
 from soundspaces_sim.transport.arrivals.wedges import (
     WedgeCoordinates,
@@ -203,11 +203,7 @@ def _try_ends(
             count = max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
             for k in range(count):
                 at = clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])
-                if sees(view, end, at) or (
-                    end.plane < 0
-                    and k == count // 2
-                    and sees(view, end, beside(view.geometry, wedges, e, at))
-                ):
+                if sees(view, end, at):
                     seen[i, e] = True
                     break
 

@@ -23,6 +23,8 @@ _COHERENT = (
 )  # phase of a difference of lengths up to which two waves are one; from twice that on, two
 _GEOMETRICAL = 0.25  # of a diffracted wave's energy that a geometrical one has at least that it joins
 _NEAR = 0.01  # square of a phase: what is nearer is together
+_MOST = 16.0  # times the free field: one wall doubles a pressure, a corner of two doubles it twice
+_TINY = 1e-12  # m²
 _LEAST = 1e-3  # of a pair's energy in a band: a diffracted wave with less in every band is left out
 
 
@@ -248,12 +250,14 @@ def _first_from(waves: Waves, length: float) -> int:
 
 @part
 def fade(waves: Waves, energy: np.ndarray) -> None:
-    """Let what is diffracted fade, between 25 and 30 dB below the pair's energy in every band; `energy` (b,) is
-    worked in."""
+    """Let what is diffracted fade, between 25 and 30 dB below the pair's energy in every band, and nothing be
+    louder than in a corner; `energy` (b,) is worked in."""
     count = waves.number[0]
     energy[:] = 0.0
     for i in range(count):
+        most = _MOST / max(waves.length[i] * waves.length[i], _TINY)
         for b in range(len(energy)):
+            waves.energy[i, b] = min(waves.energy[i, b], most)
             energy[b] += waves.energy[i, b]
     for i in range(count):
         if not waves.moves[i]:

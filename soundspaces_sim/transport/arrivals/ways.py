@@ -579,8 +579,8 @@ def way_field(
     double: DoubleWedgeScratch,
     field: np.ndarray,
 ) -> bool:
-    """(T34e) of the way at hand, of this length, 1/m, into `field` (b, g), without the phase of its length. Whether
-    it has at least `least` (b,) of |p|² in some band."""
+    """(T34e) of the way at hand, of this length, 1/m, into `field` (b, g), without the phase of its length; at most
+    twice the free field. Whether it has at least `least` (b,) of |p|² in some band."""
     _set_units(wedges, count, scratch)
     for m in range(len(spectrum.node)):
         double.wave[m] = 1.0 / total
@@ -611,7 +611,9 @@ def way_field(
             share = of_end(beyond_end(k, start), start, boundary) + of_end(
                 beyond_end(k, end), end, boundary
             )
-            field[b, g] = 0.5 * weight * share * u
+            u *= 0.5 * weight * share
+            size = 0.5 * total * math.sqrt(u.real**2 + u.imag**2)
+            field[b, g] = u / size if size > 1.0 else u
         own = field[b, 0].real ** 2 + field[b, 0].imag ** 2
         loud = loud or own > least[b]
         if not loud and own < _FALLS * least[b]:
