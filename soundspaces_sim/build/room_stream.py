@@ -205,6 +205,10 @@ Item = dict[str, Any]
 EARLY_S = 0.05  # after the direct sound
 LABELS = ("t30", "c50", "drr")
 _STREAM = 0x5EEC
+_ORDERS, _TURNS = 8, 6  # rooms for one that is to order, and simulations of each
+_OFF = 0.1  # of the T30 that is wanted
+_POWERS = (0.1, 10.0)  # beyond which surfaces are none that rooms have
+_MID_HZ = (354.0, 1414.0)  # the octaves of 500 and 1,000 Hz
 _LOW = 1  # the stream of the equalisation's random numbers, beside that of a room
 
 
@@ -227,6 +231,11 @@ class RoomStream:
     `low_equalisation_db`: standard deviation of random gains of the reverberation in third octaves below 200 Hz,
     one filter for each talker (`rendering.low_equalisation`); 0 is none. Labels are those before it.
 
+    `t30`: least and most, s, of the mean of the talkers' T30 in the bands about 500 and 1,000 Hz, drawn evenly
+    for each room (``t30_wanted``). Reflection coefficients of all surfaces are raised to one power
+    (``reflection_power``), under Eyring's formula the inverse of the factor to T30, until the simulated T30 is
+    within 10 % of what is wanted; rooms that do not get there are drawn anew. The label ``t30`` says what came out.
+
     `set_epoch`: other rooms, surfaces, places and headings. `shard` (k, n): only every n-th room, from the k-th
     (from 0), as `share` gives them. `config`: by default subpaths are added until every pair
     has an error of 5 %. Raises `ConfigError`; errors of a room name its number.
@@ -246,6 +255,7 @@ class RoomStream:
         snr_db: tuple[float, float] | None = (0.0, 30.0),
         shard: tuple[int, int] = (0, 1),
         low_equalisation_db: float = 0.0,
+        t30: tuple[float, float] | None = None,
     ) -> None:
         check_numbers(kinds, sources, microphones)
         if count is not None and count < 0:
@@ -266,6 +276,9 @@ class RoomStream:
         if self.speech == []:
             raise ConfigError("speech: expected at least one clip")
         self.low_equalisation_db = check_deviation(low_equalisation_db)
+        if t30 is not None and not 0.05 <= t30[0] <= t30[1] <= 10.0:
+            raise ConfigError(f"t30: expected least and most, 0.05 to 10 s, got {t30}")
+        self.t30 = t30
         self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -292,18 +305,46 @@ class RoomStream:
         """Room `number` of the epoch."""
         rng = np.random.default_rng((_STREAM, self.seed, self.epoch, number))
         with room_named(number):
-            room = draw_room(rng, f"room {number}", self.kinds, self.sources, self.microphones)
-            seed = int(rng.integers(2**31))
-            echoes = _echograms(room, self.config, seed)
+            room, seed, echoes, of_order = self._room(rng, f"room {number}")
             out = _responses(room, echoes, self.rate, seed)
             if self.low_equalisation_db:
                 own = np.random.default_rng((_STREAM, self.seed, self.epoch, number, _LOW))
                 late = out["rir"] - out["direct"]
                 out["rir"] = out["direct"] + equalised(own, late, self.low_equalisation_db, self.rate)
-            out |= {"early": _until(out, EARLY_S, self.rate), **_labels(echoes), "room": number}
+            out |= {
+                "early": _until(out, EARLY_S, self.rate),
+                **_labels(echoes),
+                **of_order,
+                "room": number,
+            }
             if self.speech is not None:
                 out |= self._signals(rng, out)
         return out
+
+    def _room(self, rng: np.random.Generator, name: str) -> tuple[RandomRoom, int, Echograms, Item]:
+        """A room, its seed, its echograms, and, of one to order, what was wanted. Raises `SimulationError` where
+        no room of many gets there."""
+        wanted = None if self.t30 is None else float(rng.uniform(*self.t30))
+        for _ in range(_ORDERS):
+            room = draw_room(rng, name, self.kinds, self.sources, self.microphones)
+            seed = int(rng.integers(2**31))
+            if wanted is None:
+                return room, seed, _echograms(room, self.config, seed), {}
+            power = 1.0
+            for _ in range(_TURNS):
+                tried = replace(room, scene=_with_reflections(room.scene, power))
+                echoes = _echograms(tried, self.config, seed)
+                found = _mid_t30(echoes)
+                if abs(found / wanted - 1.0) <= _OFF:
+                    return tried, seed, echoes, {"t30_wanted": wanted, "reflection_power": power}
+                # Not known where the echogram ends before sound has fallen by 35 dB: then less has to be reflected.
+                power *= found / wanted if np.isfinite(found) else 2.0
+                if not _POWERS[0] <= power <= _POWERS[1]:
+                    break
+        raise SimulationError(
+            f"{name}: none of {_ORDERS} rooms has a T30 of {wanted:.2f} s by surfaces that reflect more or less; "
+            "choose t30 nearer to what rooms of these kinds have, or a longer duration"
+        )
 
     def _signals(self, rng: np.random.Generator, item: Item) -> Item:
         samples = round(self.seconds * self.rate)
@@ -339,6 +380,27 @@ def _checked(clip: Any) -> np.ndarray:
     if clip.ndim != 1 or not len(clip) or not np.isfinite(clip).all():
         raise ConfigError(f"speech: expected finite clips of shape (n,), got one of {clip.shape}")
     return clip
+
+
+def _with_reflections(scene: Scene, power: float) -> Scene:
+    """A scene whose surfaces reflect the share of energy that they did to a power. What is let through is as
+    before, as far as what is not reflected leaves room for it."""
+    if power == 1.0:
+        return scene
+    table = scene.materials
+    reflected = np.maximum(1.0 - table.absorption - table.transmission, 0.0) ** power
+    through = np.minimum(table.transmission, 1.0 - reflected)
+    absorption = np.maximum(1.0 - reflected - through, 0.0)
+    return replace(scene, materials=replace(table, absorption=absorption, transmission=through))
+
+
+def _mid_t30(echoes: Echograms) -> float:
+    """Mean of the talkers' T30 in the bands about 500 and 1,000 Hz, s; NaN where one is not known."""
+    edges = np.asarray(echoes.bands)
+    centres = np.sqrt(np.maximum(edges[:-1], 1.0) * edges[1:])
+    rows = (centres >= _MID_HZ[0]) & (centres <= _MID_HZ[1])
+    t30 = echograms_measures(echoes)["t30"][:, 0]
+    return float(t30[:, rows if rows.any() else slice(None)].mean())
 
 
 def _echograms(room: RandomRoom, config: SimulationConfig, seed: int) -> Echograms:
