@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import networkx
+from fields_page import field_tables
 from matplotlib.figure import Figure
+from settings_page import settings_tables
 
 _MERMAID = re.compile(r"```mermaid\n(.*?)```\n", re.DOTALL)
 _OUTSIDE = re.compile(r"\[([^\]]+)\]\((\.\./[^)#]+)[^)]*\)")
@@ -24,11 +26,12 @@ _CITED = re.compile(r"\((T\d+)\)")
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Diagrams become pictures, without a script from elsewhere; links out of docs/ become their text; the gallery
-    gets its figures and their code."""
-    text = (
-        markdown.replace("<!-- gallery -->", _gallery()) if "<!-- gallery -->" in markdown else markdown
-    )
+    """Diagrams become pictures, without a script from elsewhere; links out of docs/ become their text; pages get
+    what the program makes for them: tables of settings and fields, the gallery's figures and their code."""
+    text = markdown
+    for mark, made in _MADE.items():
+        if mark in text:
+            text = text.replace(mark, made())
     text = _MERMAID.sub(lambda found: _drawn(found[1]), text)
     folder = Path(page.file.abs_src_path).parent
     docs = Path(__file__).parent
@@ -63,6 +66,14 @@ def _gallery() -> str:
         code = _alone(source, node)
         out.append(f"## {title}\n\n{picture}\n\n{caption.strip()}\n\n```python\n{code}\n```\n")
     return "\n".join(out)
+
+
+#: What the program makes, by the comment that stands where it goes.
+_MADE = {
+    "<!-- gallery -->": _gallery,
+    "<!-- settings -->": settings_tables,
+    "<!-- fields -->": field_tables,
+}
 
 
 def _alone(source: str, node: ast.FunctionDef) -> str:

@@ -236,3 +236,16 @@ def test_code_of_the_gallery_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     for name, code in codes.items():
         exec(compile(code, name, "exec"), {"__name__": name})
         assert (tmp_path / f"{name}.pdf").stat().st_size > 2000
+
+
+def test_tables_of_the_program_are_made_with_the_site(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages hold a mark where they go; the same file is not kept twice."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    import site_hooks
+
+    for name, row in (("settings", "| `walks` | not set |"), ("fields", "| `energy` |")):
+        path = DOCS / f"{name}.md"
+        text = path.read_text("utf-8")
+        page = SimpleNamespace(file=SimpleNamespace(abs_src_path=str(path), src_uri=path.name))
+        made = site_hooks.on_page_markdown(text, page)
+        assert row not in text and row in made and "<!--" not in made
