@@ -170,7 +170,16 @@ def test_the_readme_runs_prints_what_it_shows_and_left_is_left(
         assert energy(ears.T)[louder] > 1.1 * energy(ears.T)[1 - louder]
 
 
-_ROWS = re.findall(r"^\| .* \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)[2:]
+def _rows(page: str) -> list[str]:
+    """The rows of a page's table of wishes, without links."""
+    table = (ROOT / page).read_text("utf-8").split("## I want to …")[1]
+    return [
+        re.sub(r"\]\([^)]*\)", "]", row) for row in re.findall(r"^\| .* \|$", table, re.MULTILINE)[1:]
+    ]
+
+
+#: The page has all of them, the README those that people come for.
+_ROWS = _rows("docs/index.md")
 CELLS = [cell for row in _ROWS for cell in re.findall(r"`([^`]+)`", row.split("|")[2])]
 #: What a row leaves to its reader.
 _FILLED = {
@@ -276,6 +285,11 @@ def test_what_a_row_makes_or_installs_is_there(cell: str) -> None:
         return
     folders = [ROOT / word for word in words if word.startswith("./")]
     assert folders and all((folder / "pyproject.toml").is_file() for folder in folders)
+
+
+def test_the_readme_has_rows_of_the_page() -> None:
+    assert 5 < len(_rows("README.md")) < 12 and set(_rows("README.md")) < set(_ROWS)
+    assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 80
 
 
 def test_every_code_of_the_rows_is_tried() -> None:
