@@ -156,7 +156,10 @@ function meter() { if (audio.playing) drawMeter(); requestAnimationFrame(meter);
 
 // ---- plan and section ------------------------------------------------------------------------------------------------
 
-const colourOf = (row) => COLOURS[state.scene.materials.findIndex((m) => m.row === row) % COLOURS.length];
+function colourOf(row) { // past the colours by name the hue turns by the golden angle
+  const k = state.scene.materials.findIndex((m) => m.row === row);
+  return COLOURS[k] || `hsl(${(137.5 * k) % 360}, 60%, ${k % 2 ? 35 : 50}%)`;
+}
 const planView = (width, height) => fitted(state.scene.low, state.scene.high, width, height, 20);
 
 function drawLines(pen, lines, at) {
@@ -241,14 +244,13 @@ function tell() {
   $("progress").max = steps.length; $("progress").value = p.kind === "estimate" ? p.step + 1 : 0;
   $("progress-text").textContent = p.kind === "estimate" ? `Estimate ${p.step + 1} of ${steps.length}: ${steps[p.step].toLocaleString("en")} subpaths a point${p.done ? "" : ", sharpening …"}`
     : `${KINDS[p.kind][0].toUpperCase()}${KINDS[p.kind].slice(1)}; simulating …`;
-  const table = $("numbers"), rows = { "": p.decay.map((_, b) => `${b + 1}: ${bandName(b)}`), "T30 (s)": p.measures.t30.map((v) => withError(v, 3)),
-    "C50 (dB)": p.measures.c50.map((v) => withError(v, 2)), "Energy to 80 ms": p.error[0].map(percent), "Energy later": p.error[1].map(percent) };
+  const table = $("numbers"), { t30, c50 } = p.measures;
+  const rows = p.decay.map((_, b) => [`${b + 1}: ${bandName(b)}`, withError(t30[b], 3), withError(c50[b], 2), percent(p.error[0][b]), percent(p.error[1][b])]);
   table.replaceChildren();
   table.createCaption().textContent = "± two standard errors; “?”: not known yet";
-  for (const [name, cells] of Object.entries(rows)) {
+  for (const cells of [["Band", "T30 (s)", "C50 (dB)", "To 80 ms", "Later"], ...rows]) {
     const tr = table.insertRow();
-    tr.append(Object.assign(document.createElement("th"), { textContent: name }));
-    for (const text of cells) tr.append(Object.assign(document.createElement(name ? "td" : "th"), { textContent: text }));
+    cells.forEach((text, k) => tr.append(Object.assign(document.createElement(k && cells[0] !== "Band" ? "td" : "th"), { textContent: text })));
   }
 }
 
