@@ -44,7 +44,10 @@ async function follow() {
       draw();
       await listen();
     }
-    if (answer.done) { document.body.dataset.done = asked; return; }
+    if (answer.done) {
+      if (asked === query()) document.body.dataset.done = asked; // else something has moved meanwhile, and is asked soon
+      return;
+    }
   }
 }
 
