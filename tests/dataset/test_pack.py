@@ -150,7 +150,10 @@ def test_cards_beside_a_dataset(dataset_folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("diffraction", "words"),
     [
-        (True, "Diffraction round one or two edges is that of the uniform theory"),
+        (
+            True,
+            "Diffraction is that of the uniform theory, for rigid edges: one, two, or a way round many",
+        ),
         (False, "was turned off"),
     ],
 )
