@@ -34,6 +34,7 @@ from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.storeys import Storeys, above_no_floor, find_storeys
 from soundspaces_sim.scene.triangles import pieces_of, welded
 from soundspaces_sim.transport.arrivals.find_wedges import find_and_tell
+from soundspaces_sim.transport.element_depths import ElementAreas, element_areas
 from soundspaces_sim.transport.simulate import simulate
 
 _SOURCES, _LISTENERS, WALKS = 3, 4, 4000
@@ -101,8 +102,8 @@ class SceneReport:
     pairs of points (ISO 3382-1), NaN where the decay is too short; it does not. `t30_spread` (B,) s: the standard
     deviation of T30 that comes of what laboratories differ by that measure absorption (ISO 12999-2), independent
     between the eight materials that sound meets most, median of some of the pairs. `default_area`: of faces that
-    got the default material, by name in `default_labels`, '' for faces without a label. `warnings`: what looks
-    wrong, and what to do about it.
+    got the default material, by name in `default_labels`, '' for faces without a label. `elements`: what faces
+    that let sound pass were taken for. `warnings`: what looks wrong, and what to do about it.
     """
 
     name: str
@@ -119,6 +120,7 @@ class SceneReport:
     points: int  # of the grid
     candidates: int
     area: float
+    elements: ElementAreas
     volume: float
     closedness: np.ndarray  # at the quantiles 0, .1, .5, .9, 1 of the grid's points
     escape: float
@@ -185,6 +187,7 @@ def inspect_scene(
         len(grid) if grid is not None else 0,
         len(grid.candidates) if grid is not None else 0,
         float(scene.areas.sum()),
+        element_areas(scene),
         _volume(scene),
         np.quantile(
             grid.closedness[grid.status == KEPT] if grid is not None else np.zeros(1), _QUANTILES
@@ -443,6 +446,9 @@ def report_text(r: SceneReport) -> str:
         f"  without a label             {r.unlabelled_area:>9.1f}  {100.0 * r.unlabelled_area / r.area:5.1f} %",
         f"  of the default material     {r.default_area:>9.1f}  {100.0 * r.default_area / r.area:5.1f} %"
         + (f"  ({_list_areas(r.default_labels)})" if r.default_labels else ""),
+        f"  Sound passes {r.elements.whole:.1f} m² of faces of elements, once; {r.elements.deep:.1f} m² are of deep "
+        f"ones, {r.elements.sheets:.1f} m²",
+        f"  single sheets. {r.elements.turned} of these faces count the other way round than they are wound",
         "",
         f"Sound                    Hz {bands}",
         "  mean absorption           " + " ".join(f"{a:>8.2f}" for a in r.absorption),

@@ -279,6 +279,7 @@ class Scene:
             self.rays.tied(np.ascontiguousarray(self.corners[:, 0] - self.center)),
             np.ascontiguousarray(self.normals),
             np.column_stack([self.face_material, self.face_material]),
+            np.zeros(len(self.faces), np.int8),
             np.full(len(self.faces), -1),
             self._offset,
             covers_of(self.corners - self.center, self.normals, self.overlaps),

@@ -27,9 +27,9 @@ from soundspaces_sim.transport.radiance_transfer.patches import no_patches
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
 from soundspaces_sim.transport.rounds import round_sizes
 from soundspaces_sim.transport.scene_surfaces import (
+    element_sides,
     scattered_by_size,
     scene_surfaces,
-    warn_of_points_in_solids,
 )
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.technique import Facets
@@ -74,7 +74,8 @@ def prepare_scene(
     made.update(zip(wanted, found, strict=True))
     groups = material_groups(scene, config)
     surfaces, material = scene_surfaces(scene, config, by_size, groups)
-    return PreparedScene(scene, config, geometry._replace(material=material), surfaces, made, groups)
+    geometry = geometry._replace(material=material, outward=element_sides(scene))
+    return PreparedScene(scene, config, geometry, surfaces, made, groups)
 
 
 def _staged(make: Prepare, scene: Scene, config: SimulationConfig) -> Any:
@@ -95,7 +96,6 @@ def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Mod
         model = replace(model, notes=(note,))
     model = _settled(replace(model, points=len(points), asked=prepared.config))
     check_points(model, points)
-    warn_of_points_in_solids(prepared, points)
     for technique in TECHNIQUES:
         if technique.describe is not None:
             _log.info(technique.describe(model))

@@ -8,40 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.limits import LEAST_DISTANCE
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, divide, dot, length, row, subtract
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.vec3 import distance, row
 from soundspaces_sim.scene.rays.directions import INV_4PI
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, material_met
-from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_transmission
+from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.transport.bsdf.surface import Surfaces
+from soundspaces_sim.transport.elements import cross_walls
 from soundspaces_sim.transport.state import Ends
 from soundspaces_sim.transport.tile import Tile
 
 _LEAST = 1e-9  # of the unobstructed energy
-_MAX_WALLS = 256
-
-
-@part
-def _cross_walls(geometry: Geometry, surfaces: Surfaces, p: Vec3, q: Vec3, energy: np.ndarray) -> int:
-    """Multiply `energy` (b,) by the transmission of the surfaces between two points; their number."""
-    between = subtract(q, p)
-    r = length(between)
-    if r <= geometry.epsilon:
-        return 0
-    d = divide(between, r)
-    at = geometry.epsilon  # as at the other end: a point on a surface is in front of it
-    for walls in range(_MAX_WALLS):
-        left = r - geometry.epsilon - at
-        if left <= 0.0:
-            return walls
-        t, triangle = cast_ray(geometry, along(p, at, d), d, left)
-        if triangle < 0:
-            return walls
-        cos, material = abs(dot(row(geometry.normal, triangle), d)), material_met(geometry, triangle, d)
-        if attenuate_transmission(surfaces, material, cos, energy) < _LEAST:
-            break
-        at += t + geometry.epsilon / max(cos, 0.05)
-    energy[:] = 0.0
-    return 1
 
 
 class _Scene(NamedTuple):
@@ -68,7 +44,7 @@ def _direct_paths(
                 p, q = q, p
             e = energy[i, j]
             e[:] = 1.0
-            walls[i, j] = _cross_walls(scene.geometry, scene.surfaces, p, q, e)
+            walls[i, j] = cross_walls(scene.geometry, scene.surfaces, p, q, e)
             r = max(distance(q, p), scene.least_distance)
             for band in range(len(e)):
                 e[band] = e[band] * INV_4PI / r**2

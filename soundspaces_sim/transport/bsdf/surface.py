@@ -231,7 +231,7 @@ def attenuate_transmission(surfaces: Surfaces, material: int, cos: float, energy
 
 
 @part(forceinline=True)
-def _reflectance(surfaces: Surfaces, material: int, lobe: int, cos: float, band: int) -> float:
+def _share_of(surfaces: Surfaces, material: int, lobe: int, cos: float, band: int) -> float:
     here = surfaces.energy[material, lobe, band]
     if surfaces.law[material] != 0:
         here *= _angular_factor(surfaces, material, lobe, cos, band)
@@ -241,7 +241,13 @@ def _reflectance(surfaces: Surfaces, material: int, lobe: int, cos: float, band:
 @part(forceinline=True)
 def specular_reflectance(surfaces: Surfaces, material: int, cos: float, band: int) -> float:
     """Fraction of a band's energy that is reflected in the mirror direction at this angle."""
-    return _reflectance(surfaces, material, SPECULAR, cos, band)
+    return _share_of(surfaces, material, SPECULAR, cos, band)
+
+
+@part(forceinline=True)
+def transmittance(surfaces: Surfaces, material: int, cos: float, band: int) -> float:
+    """Fraction of a band's energy that passes straight on at this angle."""
+    return _share_of(surfaces, material, TRANSMISSION, cos, band)
 
 
 @part(forceinline=True)
@@ -251,7 +257,7 @@ def lambertian_reflectance(surfaces: Surfaces, material: int, cos: float, band: 
     out = 0.0
     for lobe in range(COUNT):
         if bsdf.LAMBERTIAN[lobe]:
-            out += _reflectance(surfaces, material, lobe, cos, band)
+            out += _share_of(surfaces, material, lobe, cos, band)
     return out
 
 

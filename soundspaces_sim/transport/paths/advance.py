@@ -11,12 +11,13 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.rng import uniform
-from soundspaces_sim.core.numerics.vec3 import along, dot
+from soundspaces_sim.core.numerics.vec3 import dot
 from soundspaces_sim.scene.rays.geometry import Geometry, Hit, before, intersect
 from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.bsdf.sampling import choose_lobe, update_throughput
 from soundspaces_sim.transport.bsdf.scores import add_scores
 from soundspaces_sim.transport.bsdf.surface import Surfaces, apply_departure_factor, is_transmission
+from soundspaces_sim.transport.elements import through_element
 from soundspaces_sim.transport.paths.path_state import (
     PathRow,
     Paths,
@@ -85,11 +86,22 @@ def cos_incidence(state: PathRow, hit: Hit) -> float:
 
 
 @part(forceinline=True)
-def spawn_ray(geometry: Geometry, state: PathRow, hit: Hit, lobe: int, uv: tuple[float, float]) -> None:
-    """Start the next ray where a lobe sends sound, off the surface on that side; `uv`: two uniform numbers."""
+def spawn_ray(
+    geometry: Geometry,
+    surfaces: Surfaces,
+    state: PathRow,
+    hit: Hit,
+    lobe: int,
+    uv: tuple[float, float],
+    energy: np.ndarray,
+) -> None:
+    """Start the next ray where a lobe sends sound, off the surface on that side; `uv`: two uniform numbers. What
+    enters an element goes on behind it, with what is left of its `energy` (b,)."""
     direction = direction_of(state)
     if is_transmission(lobe):
-        put_origin(state, along(hit.point, -geometry.epsilon, hit.normal))
+        passed, origin, direction = through_element(geometry, surfaces, hit, direction, uv[0], energy)
+        put_origin(state, origin)
+        state.length += passed
     else:
         put_origin(state, before(geometry, hit, direction))
     put_direction(state, bsdf.sample(lobe, direction, hit.normal, uv))
@@ -124,7 +136,7 @@ def sample_bsdf(
     ):
         return -1
     count_reflection(surfaces, paths, i, material, lobe)
-    spawn_ray(geometry, state, hit, lobe, (v, w))
+    spawn_ray(geometry, surfaces, state, hit, lobe, (v, w), paths.beta[i])
     return lobe
 
 

@@ -161,7 +161,8 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     strongest = 0.0
     for b in range(len(beta)):
         strongest = max(strongest, beta[b])
-    spawn_ray(geometry, state, hit, lobe, (0.0, 0.0))
+    v = hashed_uniform(combine(context.key, state.events), 1)
+    spawn_ray(geometry, context.world.surfaces, state, hit, lobe, (v, v), beta)
     return strongest > _WEAKEST
 
 

@@ -201,7 +201,8 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     if state.reflections == 1:
         state.first_plane = plane
     state.back = state.reflections == ORDER + 1 and plane == state.first_plane
-    spawn_ray(geometry, state, hit, lobe, (hashed_uniform(stream, 1), hashed_uniform(stream, 2)))
+    uv = hashed_uniform(stream, 1), hashed_uniform(stream, 2)
+    spawn_ray(geometry, surfaces, state, hit, lobe, uv, paths.beta[i])
     apply_departure(surfaces, material, paths, i, hit, lobe)
     return True
 

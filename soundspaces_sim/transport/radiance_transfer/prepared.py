@@ -15,6 +15,7 @@ from soundspaces_sim.core.profile import stage
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
 from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
+from soundspaces_sim.transport.element_depths import air_on_sides
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import Decay
@@ -151,11 +152,13 @@ def patch_groups(model: Model) -> np.ndarray:
 
 def _patches(prepared: PreparedScene) -> Patches:
     scene, geometry = prepared.scene, prepared.geometry
+    corners = scene.corners - scene.center
     scattered = lambertian_energy(prepared.surfaces)[geometry.material]
+    scattered *= air_on_sides(geometry, prepared.surfaces, corners, scene.areas)[:, :, None]
     return cached_on_disk(
         Patches,
         (scene_key(scene), fingerprint(scattered)),
-        lambda: make_patches(geometry, scene.corners - scene.center, scattered, PATCH_SIZE),
+        lambda: make_patches(geometry, corners, scattered, PATCH_SIZE),
         lambda found: patches_fit(found, len(scattered), scattered.shape[2]),
     )
 
