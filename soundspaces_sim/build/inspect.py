@@ -446,8 +446,8 @@ def report_text(r: SceneReport) -> str:
         f"  without a label             {r.unlabelled_area:>9.1f}  {100.0 * r.unlabelled_area / r.area:5.1f} %",
         f"  of the default material     {r.default_area:>9.1f}  {100.0 * r.default_area / r.area:5.1f} %"
         + (f"  ({_list_areas(r.default_labels)})" if r.default_labels else ""),
-        f"  Sound passes {r.elements.whole:.1f} m² of faces of elements, once; {r.elements.deep:.1f} m² are of deep "
-        f"ones, {r.elements.sheets:.1f} m²",
+        f"  Sound passes {r.elements.whole:.1f} m² of faces of elements, once; {r.elements.deep:.1f} m² are of "
+        f"deep ones, {r.elements.sheets:.1f} m²",
         f"  single sheets. {r.elements.turned} of these faces count the other way round than they are wound",
         "",
         f"Sound                    Hz {bands}",

@@ -10,9 +10,13 @@ import numpy as np
 from soundspaces_sim.core.errors import PointError
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
+from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.scene.rays.placing import depth_of_bodies, off_faces
 from soundspaces_sim.scene.scene import Scene, check_scene
+from soundspaces_sim.scene.windings import outward_sides
 
 ENCLOSED = 0.5  # closed-ness of a place that is indoors
+DEEPEST = 0.6  # m, of bodies without air: what sound passes as one element
 _OPEN = 0.1  # the seed paper's limit for patios: anything below is outdoors by any standard
 
 
@@ -24,6 +28,31 @@ def closedness(
     one_material = scene.geometry._replace(material=np.zeros((len(scene.faces), 2), np.int64))
     walks = diffuse_walks(one_material, points - scene.center, point_keys(points, 0), rays, bounces, 1)
     return walks.hits[:, 0] / (rays * bounces), walks.nearest
+
+
+@lru_cache(maxsize=8)
+def _geometry_with_sides(scene: _Hashed) -> Geometry:
+    return scene.scene.geometry._replace(outward=outward_sides(scene.scene))
+
+
+def _check_in_air(scene: Scene, points: np.ndarray, what: str) -> None:
+    """Raise `PointError` for points in bodies. A scene that is not larger than one is a model of a room."""
+    if (scene.bounds[1] - scene.bounds[0]).min() <= 2.0 * DEEPEST:
+        return
+    # Windings take time in a large scene, and few points are close to faces on all sides.
+    local = points - scene.center
+    near = np.isfinite(depth_of_bodies(scene.geometry, local, DEEPEST, sided=False))
+    if not near.any():
+        return
+    depth = depth_of_bodies(_geometry_with_sides(_Hashed(scene)), local[near], DEEPEST)
+    if np.isfinite(depth).any():
+        i = int(np.flatnonzero(near)[np.isfinite(depth)][0])
+        deep = float(depth[np.isfinite(depth)][0])
+        raise PointError(
+            f"{what}: point {i} at ({points[i, 0]:.3f}, {points[i, 1]:.3f}, {points[i, 2]:.3f}) m is inside "
+            f"a body of the scene '{scene.name}' that is {deep:.2f} m deep there, and holds no air; move it, or "
+            "open the mesh there"
+        )
 
 
 @lru_cache(maxsize=8)
@@ -49,11 +78,14 @@ class _Hashed:
 
 
 def check_inside(scene: Scene, points: np.ndarray, what: str) -> None:
-    """Raise `PointError` for points outside a scene that encloses a space.
+    """Raise `PointError` for points in bodies, and for points outside a scene that encloses a space.
 
-    Outside means beyond its bounding box, or in surroundings less closed than even a patio's (0.1).
+    A body is what sound passes as one building element: there is no air in it. Outside means beyond its bounding
+    box, or in surroundings less closed than even a patio's (0.1).
     A scene that encloses nothing (a lone wall, a facade) has no outside.
     """
+    points = off_faces(scene.geometry, points - scene.center) + scene.center
+    _check_in_air(scene, points, what)
     if not _is_enclosure(_Hashed(scene)):
         return
     low, high = scene.bounds

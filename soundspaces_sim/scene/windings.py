@@ -65,10 +65,10 @@ def _neighbours(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _inside_out(scene: Scene, piece: np.ndarray, sign: np.ndarray) -> np.ndarray:
     """(p,) which pieces are bodies whose faces, times `sign` (F,), look into them."""
-    area = np.bincount(piece, scene.areas)
+    area = np.asarray(np.bincount(piece, scene.areas), float)
     vectors = (scene.areas * sign)[:, None] * scene.normals
     opening = np.stack([np.bincount(piece, column) for column in vectors.T], axis=1)
-    middle = np.stack(
+    middle: np.ndarray = np.stack(
         [np.bincount(piece, scene.areas * x) for x in scene.corners.mean(axis=1).T], axis=1
     )
     middle = middle / np.maximum(area, 1e-300)[:, None]

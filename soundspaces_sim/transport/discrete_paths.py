@@ -14,6 +14,7 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.simulation_config import LowConfig, MaterialsConfig, RadianceTransferConfig
+from soundspaces_sim.scene.rays.placing import off_faces
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import connect_all
 from soundspaces_sim.transport.model import Model
@@ -50,7 +51,7 @@ def discrete_model(scene: Scene, config: SimulationConfig, seed: int = 0) -> Mod
 
 def place_side(model: Model, place: np.ndarray) -> Side:
     """A place (3,) m as a side of a tile, without detectors: nothing walks here."""
-    point = np.ascontiguousarray(place[None] - model.scene.center)
+    point = off_faces(model.world.geometry, place[None] - model.scene.center)
     return Side(
         model, place[None], Ends(point, point_keys(place[None], model.seed), model.once(_no_detectors))
     )

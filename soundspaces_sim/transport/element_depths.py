@@ -1,4 +1,4 @@
-"""How deep the elements behind the faces of a scene are: where sound leaves that has come in, and what is a sheet."""
+"""How deep the elements behind the faces of a scene are, and which faces are single sheets."""
 
 import math
 from typing import NamedTuple

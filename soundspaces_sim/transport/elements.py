@@ -25,6 +25,7 @@ from soundspaces_sim.core.numerics.vec3 import (
     row,
     subtract,
 )
+from soundspaces_sim.scene.enclosure import DEEPEST
 from soundspaces_sim.scene.rays.geometry import Geometry, Hit, cast_ray, lifted, surface_point
 from soundspaces_sim.transport.bsdf.surface import (
     Surfaces,
@@ -33,7 +34,10 @@ from soundspaces_sim.transport.bsdf.surface import (
     transmittance,
 )
 
-WHOLE, APART = 0.6, 1.2  # m, depth up to which two faces are one element, and from which on they are two
+WHOLE, APART = (
+    DEEPEST,
+    1.2,
+)  # m, depth up to which two faces are one element, and from which on they are two
 _LONGEST = 10.0  # m, of the way through one
 _FACES = 16  # on that way
 _LEAST = 1e-9  # of the unobstructed energy

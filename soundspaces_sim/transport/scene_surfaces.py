@@ -90,7 +90,7 @@ def _kinds(scene: Scene, config: SimulationConfig, by_size: np.ndarray) -> _Kind
 
 
 class _Sides(NamedTuple):
-    outward: np.ndarray  # (F,) int8
+    outward: np.ndarray  # (F,) 1 or -1
 
 
 @stage("windings")
@@ -103,8 +103,8 @@ def element_sides(scene: Scene) -> np.ndarray:
     sides = cached_on_disk(
         _Sides,
         (scene_key(scene),),
-        lambda: _Sides(outward_sides(scene)),
-        lambda found: like(found, {"outward": "i1 F"}, {"F": count}) and within(found.outward, -1, 1),
+        lambda: _Sides(outward_sides(scene).astype(np.int64)),
+        lambda found: like(found, {"outward": "i8 F"}, {"F": count}) and within(found.outward, -1, 1),
     )
     free = scene.materials.free_hanging[scene.face_material]
     return np.where(free, 0, sides.outward).astype(np.int8)

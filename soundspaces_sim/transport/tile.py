@@ -8,6 +8,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.echogram.denoise_plan import first_late
+from soundspaces_sim.scene.rays.placing import off_faces
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model, Once
@@ -65,7 +66,7 @@ class Tile:
 
 def make_side(model: Model, points: np.ndarray) -> Side:
     """A side of (N, 3) points in m."""
-    local = np.ascontiguousarray(points - model.scene.center)
+    local = off_faces(model.world.geometry, points - model.scene.center)
     keys = point_keys(points, model.seed)
     detectors = make_detectors(model.world.geometry, local, keys, model.world.radii)
     return Side(model, points, Ends(local, keys, detectors))
