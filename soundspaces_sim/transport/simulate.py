@@ -90,14 +90,30 @@ def _simulate(
         found = _simulate_ends(model, a, b, heads, ears)
     else:
         found = simulate_between(model, a, b)
-    if not (found.energy.any() or found.direct_energy.any() or found.early.energy.any()):
+    _warn_of_silence(model, found)
+    return with_notes(model, found)
+
+
+def _warn_of_silence(model: Model, echoes: Echograms) -> None:
+    """Log that nothing arrives, anywhere or at some points: zeros with an error of zero look like a result."""
+    heard = (echoes.energy != 0).any(axis=(2, 3, 4)) | (echoes.direct_energy != 0).any(axis=2)
+    heard |= (np.diff(echoes.early_start) > 0).reshape(heard.shape)
+    name = model.scene.name
+    if not heard.any():
         _log.warning(
             "%s: no sound arrives between any two points within %g s: check the unit of lengths, the "
             "places and the duration",
-            scene.name,
+            name,
             model.duration,
         )
-    return with_notes(model, found)
+        return
+    for what, points, axis in (("source", echoes.sources, 1), ("listener", echoes.listeners, 0)):
+        for i in np.flatnonzero(~heard.any(axis=axis)):
+            x, y, z = points[i]
+            _log.warning(
+                "%s: no sound goes between %s %d at (%.3f, %.3f, %.3f) m and any other point: is it walled in?",
+                name, what, i, x, y, z,
+            )  # fmt: skip
 
 
 def with_notes(model: Model, echoes: Echograms) -> Echograms:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 import pytest
 
@@ -91,3 +93,12 @@ def test_narrow_air_is_no_body() -> None:
     assert ss.simulate(scene, [[1.0, 1.0, 1.0]], [[3.525, 1.5, 1.0]], QUICK).energy.sum() > 0.0
     small = box((0.5, 0.4, 0.3), MATERIAL)
     assert ss.simulate(small, [[0.1, 0.1, 0.1]], [[0.4, 0.3, 0.2]], QUICK).energy.sum() > 0.0
+
+
+def test_a_point_in_something_large_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    """A pillar of 1.5 m may be a closet: a point in it is not refused, but said to be silent."""
+    scene = _with_body((1.5, 1.5, 2.0), (3.0, 1.0, 0.2), False)
+    with caplog.at_level(logging.WARNING, "soundspaces_sim"):
+        ss.simulate(scene, [[1.0, 1.0, 1.0]], [[5.0, 3.0, 1.0], [3.7, 1.7, 1.2]], QUICK)
+    assert "between listener 1 at (3.700, 1.700, 1.200) m and any other point" in caplog.text
+    assert "listener 0" not in caplog.text and "source" not in caplog.text
