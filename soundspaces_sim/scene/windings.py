@@ -9,6 +9,8 @@ larger is a room, whose faces may look in or out.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -22,11 +24,26 @@ LARGEST_RADIUS = (
 _OPENING = (
     0.25  # share of a body's surface that may be missing: of what is flat the sum of area vectors is 1
 )
+_ROUNDING = 1e-9
 _WELD = 5  # decimals of a metre to which corners of one place agree
 
 
+class Sides(NamedTuple):
+    """Of each face of a scene."""
+
+    outward: (
+        np.ndarray
+    )  # (F,) 1 where the stored normal points out of what the face bounds, -1 where it points in
+    thin: np.ndarray  # (F,) whether it is of a closed thin body
+
+
 def outward_sides(scene: Scene) -> np.ndarray:
-    """(F,) int8: 1 where the stored normal points out of what a face bounds, -1 where it points in."""
+    """(F,) int8: `Sides.outward`."""
+    return find_sides(scene).outward.astype(np.int8)
+
+
+def find_sides(scene: Scene) -> Sides:
+    """Which side of each face is out."""
     count = len(scene.faces)
     ends, alike = zip(*(_neighbours(faces) for faces in (scene.faces, _in_place(scene))), strict=True)
     pairs, same = np.concatenate(ends, axis=1), np.concatenate(alike)
@@ -43,7 +60,9 @@ def outward_sides(scene: Scene) -> np.ndarray:
     sign = np.where(kept <= turned, 1.0, -1.0)
     sign = np.where(kept == turned, 1.0, sign)
     sign *= np.where(np.bincount(piece, sign * scene.areas, number) < 0.0, -1.0, 1.0)[piece]
-    return (sign * np.where(_inside_out(scene, piece, sign), -1.0, 1.0)[piece]).astype(np.int8)
+    inside_out, thin = _bodies(scene, piece, sign)
+    sign *= np.where(inside_out, -1.0, 1.0)[piece]
+    return Sides(sign.astype(np.int64), thin[piece])
 
 
 def _in_place(scene: Scene) -> np.ndarray:
@@ -63,8 +82,9 @@ def _neighbours(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([owner[first], owner[first + 1]]), turn[first] != turn[first + 1]
 
 
-def _inside_out(scene: Scene, piece: np.ndarray, sign: np.ndarray) -> np.ndarray:
-    """(p,) which pieces are bodies whose faces, times `sign` (F,), look into them."""
+def _bodies(scene: Scene, piece: np.ndarray, sign: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(p,) which pieces are thin bodies whose faces, times `sign` (F,), look into them, and which are closed thin
+    bodies, of whichever way."""
     area = np.asarray(np.bincount(piece, scene.areas), float)
     vectors = (scene.areas * sign)[:, None] * scene.normals
     opening = np.stack([np.bincount(piece, column) for column in vectors.T], axis=1)
@@ -74,5 +94,7 @@ def _inside_out(scene: Scene, piece: np.ndarray, sign: np.ndarray) -> np.ndarray
     middle = middle / np.maximum(area, 1e-300)[:, None]
     height = ((scene.corners[:, 0] - middle[piece]) * vectors).sum(axis=1)
     volume = np.bincount(piece, height) / 3.0
-    closed = np.linalg.norm(opening, axis=1) <= _OPENING * area
-    return np.asarray(closed & (volume < 0.0) & (-3.0 * volume <= LARGEST_RADIUS * area))
+    missing = np.linalg.norm(opening, axis=1) / np.maximum(area, 1e-300)
+    thin = 3.0 * np.abs(volume) <= LARGEST_RADIUS * area
+    some = np.abs(volume) > _ROUNDING * area * scene.diagonal
+    return (missing <= _OPENING) & (volume < 0.0) & thin, (missing <= _ROUNDING) & thin & some

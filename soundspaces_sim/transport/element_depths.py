@@ -10,6 +10,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.vec3 import negate, row
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.bsdf import TRANSMISSION
 from soundspaces_sim.transport.bsdf.surface import Surfaces
 from soundspaces_sim.transport.elements import WHOLE, way_through
 from soundspaces_sim.transport.scene_surfaces import element_sides, scene_surfaces
@@ -69,13 +70,15 @@ def element_depths(
 
 
 def air_on_sides(
-    geometry: Geometry, surfaces: Surfaces, corners: np.ndarray, area: np.ndarray
+    geometry: Geometry, surfaces: Surfaces, corners: np.ndarray, area: np.ndarray, thin: np.ndarray
 ) -> np.ndarray:
-    """(F, 2) whether there may be sound in front of and behind the stored normals: not within elements."""
+    """(F, 2) whether there may be sound in front of and behind the stored normals: not within elements that nothing
+    is missing of, and `thin` (F,) bodies that are closed."""
     air = np.ones((len(corners), 2), bool)
     if geometry.outward.any():
         deepest, sheet = element_depths(geometry, surfaces, corners, area).T
-        within = (deepest <= WHOLE) & (sheet == 0.0)
+        passes = np.asarray(surfaces.energy[geometry.material[:, 0], TRANSMISSION].max(axis=1) > 0.0)
+        within = ((deepest <= WHOLE) & (sheet == 0.0)) | (thin & passes)
         air[within & (geometry.outward > 0), 1] = False
         air[within & (geometry.outward < 0), 0] = False
     return air
@@ -94,7 +97,7 @@ def element_areas(scene: Scene) -> ElementAreas:
     """How a scene's faces let sound pass."""
     config = SimulationConfig(scattering="table")
     surfaces, material = scene_surfaces(scene, config, np.empty((len(scene.faces), 0)))
-    geometry = scene.geometry._replace(material=material, outward=element_sides(scene))
+    geometry = scene.geometry._replace(material=material, outward=element_sides(scene).outward)
     deepest, sheet = element_depths(geometry, surfaces, scene.corners - scene.center, scene.areas).T
     passes = scene.materials.transmission.max(axis=1)[scene.face_material] > 0.0
     area = np.where(passes, scene.areas, 0.0)

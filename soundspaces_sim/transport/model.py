@@ -56,6 +56,7 @@ class PreparedScene(Once):
     surfaces: Surfaces
     parts: Mapping[Prepare, Any]  # by the function that prepared them
     groups: MaterialGroups  # whose reflections are counted; none, if the config does not want counts
+    thin: np.ndarray  # (F,) which faces are of closed thin bodies, see `windings.Sides`
 
     def part(self, prepare: Callable[[Scene, SimulationConfig], _Made]) -> _Made:
         """What `prepare` has made of the scene."""

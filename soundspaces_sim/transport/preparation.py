@@ -74,8 +74,9 @@ def prepare_scene(
     made.update(zip(wanted, found, strict=True))
     groups = material_groups(scene, config)
     surfaces, material = scene_surfaces(scene, config, by_size, groups)
-    geometry = geometry._replace(material=material, outward=element_sides(scene))
-    return PreparedScene(scene, config, geometry, surfaces, made, groups)
+    sides = element_sides(scene)
+    geometry = geometry._replace(material=material, outward=sides.outward)
+    return PreparedScene(scene, config, geometry, surfaces, made, groups, sides.thin)
 
 
 def _staged(make: Prepare, scene: Scene, config: SimulationConfig) -> Any:

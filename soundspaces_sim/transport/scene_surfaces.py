@@ -13,7 +13,7 @@ from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.windings import outward_sides
+from soundspaces_sim.scene.windings import Sides, find_sides
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.bsdf.scores import with_scores
 from soundspaces_sim.transport.bsdf.surface import Surfaces, law_rows, make_surfaces
@@ -89,22 +89,21 @@ def _kinds(scene: Scene, config: SimulationConfig, by_size: np.ndarray) -> _Kind
     return _Kinds(rows, absorption[rows], both, transmission[rows], share, of_face)
 
 
-class _Sides(NamedTuple):
-    outward: np.ndarray  # (F,) 1 or -1
-
-
 @stage("windings")
-def element_sides(scene: Scene) -> np.ndarray:
-    """(F,) int8, `Geometry.outward` of a scene. Layers that hang free are made to be passed face by face, and where
-    nothing transmits there is nothing to pass."""
+def element_sides(scene: Scene) -> Sides:
+    """Which side of a scene's faces is out. Layers that hang free are made to be passed face by face, and where
+    nothing transmits there is nothing to pass: their `outward` is 0."""
     count = len(scene.faces)
     if not (scene.materials.transmission > 0.0).any():
-        return np.zeros(count, np.int8)
+        return Sides(np.zeros(count, np.int8), np.zeros(count, bool))
     sides = cached_on_disk(
-        _Sides,
+        Sides,
         (scene_key(scene),),
-        lambda: _Sides(outward_sides(scene).astype(np.int64)),
-        lambda found: like(found, {"outward": "i8 F"}, {"F": count}) and within(found.outward, -1, 1),
+        lambda: find_sides(scene),
+        lambda found: (
+            like(found, {"outward": "i8 F", "thin": "b1 F"}, {"F": count})
+            and within(found.outward, -1, 1)
+        ),
     )
     free = scene.materials.free_hanging[scene.face_material]
-    return np.where(free, 0, sides.outward).astype(np.int8)
+    return sides._replace(outward=np.where(free, 0, sides.outward).astype(np.int8))

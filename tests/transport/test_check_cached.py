@@ -66,6 +66,7 @@ FORGERIES: dict[str, list[tuple[str, Callable[[np.ndarray], np.ndarray]]]] = {
         ("another type", lambda x: x.astype("i4")), ("real", lambda x: x.astype("f8")),
     ],
     "outward": [("short", lambda x: x[:-1]), ("too large", _one_more)],
+    "thin": [("short", lambda x: x[:-1])],
     "wedges.start": [("NaN", _one_more), ("another shape", lambda x: x.reshape(-1))],
     "mutual.start": [("falls", _turned), ("too large", _one_more)],
     "mutual.wedge": [("too large", _one_more), ("below", _below)],

@@ -154,7 +154,9 @@ def _patches(prepared: PreparedScene) -> Patches:
     scene, geometry = prepared.scene, prepared.geometry
     corners = scene.corners - scene.center
     scattered = lambertian_energy(prepared.surfaces)[geometry.material]
-    scattered *= air_on_sides(geometry, prepared.surfaces, corners, scene.areas)[:, :, None]
+    scattered *= air_on_sides(geometry, prepared.surfaces, corners, scene.areas, prepared.thin)[
+        :, :, None
+    ]
     return cached_on_disk(
         Patches,
         (scene_key(scene), fingerprint(scattered)),
