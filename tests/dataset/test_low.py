@@ -174,10 +174,10 @@ def test_what_is_refused(folder: Path, dataset_folder: Path, tmp_path: Path) -> 
             EchogramShard(path).echogram(0, 0)
 
 
-def test_a_point_that_no_cell_sees_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+def test_a_point_in_a_body_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     room = _room()
     lid = room.vertices.copy()
-    lid[:, 2] = 2.35 + 0.01 * lid[:, 2]  # a gap of 2.4 cm, between cells
+    lid[:, 2] = 2.35 + 0.01 * lid[:, 2]  # a body of 2.4 cm, between cells
     both = ss.Scene(
         np.concatenate([room.vertices, lid]),
         np.concatenate([room.faces, room.faces + len(lid)]),
@@ -185,6 +185,6 @@ def test_a_point_that_no_cell_sees_is_refused_before_anything_is_made(tmp_path: 
         room.materials,
     )
     points = np.concatenate([POINTS[:2], [[1.6, 1.3, 2.36]]])
-    with pytest.raises(PointError, match="no cell"):
+    with pytest.raises(PointError, match="inside a body"):
         ss.build_dataset(both, tmp_path, ss.JobConfig(simulation=CONFIG), points=points)
     assert not list(tmp_path.rglob("*.h5"))

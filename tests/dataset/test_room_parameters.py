@@ -51,7 +51,11 @@ def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
     assert found.bands.centre == (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
     stored = ds.parameters(("c50", "g"), "stored", [(0, 3)])
     for name in ("c50", "g"):
-        np.testing.assert_allclose(found[name][0, 1:4], stored[name][0, [0, 1, 1]], atol=0.03)
+        octaves, bands = found[name][0, 1:4], stored[name][0, :2]
+        np.testing.assert_allclose([octaves[0], octaves[1:].mean()], bands, atol=0.03)
+        np.testing.assert_allclose(
+            octaves[1:], bands[1], atol=0.05
+        )  # air takes more of the upper octave
         assert (found.values[name][0, :8, 2] < 0.03).all()
         error = found.values[name][0, :8, 1]
         assert (np.isnan(error) | (error > 0.0)).all()  # not known where few subpaths bring the energy

@@ -64,6 +64,7 @@ from soundspaces_sim.transport.arrivals.wedges import (
 MOST_EDGES = 6  # of a way: by more, sound is some 60 dB below a free field
 TRIED = 4  # ways to a point, by different last edges, until one is free
 _MOST_WAYS = 8  # of a pair: the shortest one, and those by an edge more in whose light an end is
+_OF_THREAD = 8  # points whose ways are worth a thread
 _SHORTER = 1e-3  # m, by which a way must be, to be another
 _PLACES = 5  # of an edge that are tried where its nearest place is not seen
 _SWEEPS = 12  # by which a way is pulled taut
@@ -200,7 +201,8 @@ def find_ways(
         np.empty(shape, np.float32), np.empty(shape, np.int32), np.zeros(shape, np.float32),
         np.zeros(shape, np.float32), np.empty(shape, np.int8),
     )  # fmt: skip
-    over_rows(_find_ways, len(points), view, edges, points, rows, seen, at, ways, chunk=1)
+    if shape[1] > 0:
+        over_rows(_find_ways, len(points), view, edges, points, rows, seen, at, ways, least=_OF_THREAD)
     return ways
 
 
