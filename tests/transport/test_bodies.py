@@ -21,9 +21,9 @@ _FREQUENCY = np.array([np.geomspace(a, b, 23)[1::2] for a, b in pairwise(_BANDS)
 #: Least and greatest cell of each body, the greatest not in it; dB in the three bands: most that the root mean
 #: square of the errors is, as reached.
 _BODIES = {
-    "cupboard": ((50, 50, 45), (64, 58, 66), (1.25, 1.1, 1.05)),
-    "cube": ((50, 50, 50), (61, 61, 61), (1.35, 1.15, 1.0)),
-    "table top": ((48, 46, 55), (68, 62, 57), (0.95, 0.95, 1.0)),
+    "cupboard": ((50, 50, 45), (64, 58, 66), (1.35, 1.25, 1.2)),
+    "cube": ((50, 50, 50), (61, 61, 61), (1.35, 1.2, 1.15)),
+    "table top": ((48, 46, 55), (68, 62, 57), (1.0, 1.0, 1.15)),
     "wall": ((56, 30, 30), (58, 70, 58), (1.05, 1.0, 1.2)),
 }
 _NEAR, _FAR = np.array([36, 36, 36]), np.array([84, 76, 76])  # cells, where ends are
