@@ -458,9 +458,8 @@ def _double_may_be_heard(
     if lit and squared > (straight + _MAX_DETOUR) ** 2:
         return False
     first, second = a.link_size[n] * rest * across, b.link_size[m] * rest / w
-    scale = (
-        0.5 / squared
-    )  # a quarter, as the face's image is in both, and twice that, as it is off by some dB
+    # A quarter, as the face's image is in both, and twice that, as it is off by some dB.
+    scale = 0.5 / squared
     if not _is_above(first, second, scale, math.inf, spectrum, least):
         return False
     total = math.sqrt(squared)
@@ -551,7 +550,6 @@ def _add_ways(
     from_q = choose_ways(edges.wedges, b.ways, j, of_p, a.seen.wedge, p, 1, way)
     m = n = count = 0
     while count == 0 and (m < from_p or n < from_q):
-        length = 0.0
         if n == from_q or (m < from_p and way.total[0, m] <= way.total[1, n]):
             count, length = solve_way(
                 view, edges, set_way(a.ways, i, way.last[0, m], False, way), p, q, way

@@ -82,13 +82,15 @@ def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:
     return MutualVisibility(start, other, np.concatenate(angles), np.lexsort((wedge, other)))
 
 
-def _rows_of_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
-    """Rows of two parallel edges that a face connects: each lies in a face of the other, and no other edge at which
-    the face ends is between them, as where tables of one height stand in a row."""
+def _rows_of_faces(wedges: Wedges, mutual: MutualVisibility) -> tuple[np.ndarray, np.ndarray]:
+    """(Rows of two parallel edges that a face connects, m between both): each lies in a face of the other, and no
+    other edge at which the face ends is between them, as where tables of one height stand in a row."""
     e = _wedge_of_row(mutual)
     rows = np.flatnonzero(np.abs((wedges.along[e] * wedges.along[mutual.wedge]).sum(axis=1)) > _PARALLEL)
     linked = np.zeros(len(e), bool)
-    faces = _on_faces(wedges, mutual, rows, _least_distance(wedges, e[rows], mutual.wedge[rows]))
+    width = np.zeros(len(e))
+    width[rows] = np.maximum(_least_distance(wedges, e[rows], mutual.wedge[rows]), _LEAST_WIDTH)
+    faces = _on_faces(wedges, mutual, rows, width[rows])
     linked[rows] = faces.any(axis=1)
     linked &= linked[mutual.reverse]
     second, rows = faces[linked[rows], 1], rows[linked[rows]]
@@ -100,16 +102,16 @@ def _rows_of_faces(wedges: Wedges, mutual: MutualVisibility) -> np.ndarray:
             nearer = group[:n][far[group[:n]] < _NEARER * far[m]]
             if _covered(ends[nearer], ends[m], wedges.length[e[rows[m]]]) > 0.5:
                 linked[rows[m]] = False
-    return np.flatnonzero(linked & linked[mutual.reverse])
+    rows = np.flatnonzero(linked & linked[mutual.reverse])
+    return rows, width[rows]
 
 
 def find_links(wedges: Wedges, mutual: MutualVisibility) -> Links:
     """Of the pairs of wedges that see each other those of one face."""
-    rows = _rows_of_faces(wedges, mutual)
+    rows, width = _rows_of_faces(wedges, mutual)
     e, f = _wedge_of_row(mutual)[rows], mutual.wedge[rows]
     sense = np.sign((wedges.along[e] * wedges.along[f]).sum(axis=1))
     shift = ((wedges.start[f] - wedges.start[e]) * wedges.along[e]).sum(axis=1)
-    width = np.maximum(_least_distance(wedges, e, f), _LEAST_WIDTH)
     start = np.searchsorted(e, np.arange(len(wedges.length) + 1))
     reverse = np.searchsorted(rows, mutual.reverse[rows])
     return Links(start, f, mutual.phi[rows], reverse, width, sense, shift)
@@ -141,7 +143,7 @@ def _on_faces(
     e = _wedge_of_row(mutual)[rows]
     sector = np.array([0.0, np.pi]) * wedges.n[e][:, None]
     clear = np.linalg.norm(wedges.offset, axis=1)
-    near = ON_FACE + OFF_LINE * (clear[e] + clear[mutual.wedge[rows]]) / np.maximum(width, _LEAST_WIDTH)
+    near = ON_FACE + OFF_LINE * (clear[e] + clear[mutual.wedge[rows]]) / width
     off = np.abs(mutual.phi[rows, None] - sector[:, :, None])
     return np.asarray((off < near[:, None, None]).all(axis=2))
 

@@ -202,8 +202,7 @@ def _try_ends(
             coordinates[i, e, 0], coordinates[i, e, 1], coordinates[i, e, 2] = c
             count = max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
             for k in range(count):
-                at = clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])
-                if sees(view, end, at):
+                if sees(view, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
                     seen[i, e] = True
                     break
 

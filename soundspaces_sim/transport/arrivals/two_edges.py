@@ -2,7 +2,8 @@
 
 The path is the shortest one by way of both lines, and its field is exact (`double_wedge`, T34). An end may be in
 the light of the edge that is farther from it: then the field adds to that of the path by one edge, and both
-together are continuous where it comes into the shadow."""
+together are continuous where it comes into the shadow.
+"""
 
 from __future__ import annotations
 
@@ -98,7 +99,7 @@ def _no_path(e: int, f: int, p: Vec3, q: Vec3) -> TwoEdgePath:
 
 
 @part(forceinline=True)
-def snapped(phi: float, sector: float, near: float) -> float:
+def _snapped(phi: float, sector: float, near: float) -> float:
     """The angle of a face for a point so `near` to it, rad, on whichever side."""
     if phi < near or phi > 2.0 * math.pi - near:
         return 0.0 if sector < 2.0 * math.pi - ON_FACE or phi < near else sector
@@ -220,7 +221,7 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
     q_f, e_f = wedge_coordinates(wedges, f, q), wedge_coordinates(wedges, f, at_e)
     sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
     near = on_face(wedges, e, f, max(min(f_e.r, e_f.r), MIN_RADIUS))
-    along = snapped(f_e.phi, sector_e, near), snapped(e_f.phi, sector_f, near)
+    along = _snapped(f_e.phi, sector_e, near), _snapped(e_f.phi, sector_f, near)
     phi_f, phi_e = on_one_side(wedges, (e, f), along, (p_e.phi, q_f.phi))
     inside = max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
     inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= MIN_RADIUS

@@ -61,8 +61,8 @@ from soundspaces_sim.transport.arrivals.wedges import (
     wedge_coordinates,
 )
 
-MOST_EDGES = 6  # of a way: by more, sound is some 60 dB below a free field
-TRIED = 4  # ways to a point, by different last edges, until one is free
+_MOST_EDGES = 6  # of a way: by more, sound is some 60 dB below a free field
+_TRIED = 4  # ways to a point, by different last edges, until one is free
 _MOST_WAYS = 8  # of a pair: the shortest one, and those by an edge more in whose light an end is
 _OF_THREAD = 8  # points whose ways are worth a thread
 _SHORTER = 1e-3  # m, by which a way must be, to be another
@@ -86,27 +86,27 @@ class Ways(NamedTuple):
 class WayScratch(NamedTuple):
     """What a thread works in: ways that are tried, and the one at hand, from p by m edges to q."""
 
-    total: np.ndarray  # (2, TRIED) m, of what is tried from p, and from q
-    last: np.ndarray  # (2, TRIED) edge that the other point sees
-    done: np.ndarray  # (_MOST_WAYS, MOST_EDGES) edges of the ways that are solved, from p
-    edge: np.ndarray  # (MOST_EDGES,)
-    z: np.ndarray  # (MOST_EDGES,) m
-    found: np.ndarray  # (MOST_EDGES,) m, where rays have found the way free
-    leg: np.ndarray  # (MOST_EDGES + 1,) m
-    angle: np.ndarray  # (MOST_EDGES, 2) rad, about each edge, of the places before and after
-    sine: np.ndarray  # (MOST_EDGES,) of the angle between the way and the edge
-    common: np.ndarray  # (MOST_EDGES,) a face connects this edge with the next one
-    unit: np.ndarray  # (MOST_EDGES,) edges of the factor that begins here: 1, 2; 0: it began one before
-    size: np.ndarray  # (MOST_EDGES,) how much a factor matters
-    set: np.ndarray  # (MOST_EDGES,) whether its factor is there
+    total: np.ndarray  # (2, _TRIED) m, of what is tried from p, and from q
+    last: np.ndarray  # (2, _TRIED) edge that the other point sees
+    done: np.ndarray  # (_MOST_WAYS, _MOST_EDGES) edges of the ways that are solved, from p
+    edge: np.ndarray  # (_MOST_EDGES,)
+    z: np.ndarray  # (_MOST_EDGES,) m
+    found: np.ndarray  # (_MOST_EDGES,) m, where rays have found the way free
+    leg: np.ndarray  # (_MOST_EDGES + 1,) m
+    angle: np.ndarray  # (_MOST_EDGES, 2) rad, about each edge, of the places before and after
+    sine: np.ndarray  # (_MOST_EDGES,) of the angle between the way and the edge
+    common: np.ndarray  # (_MOST_EDGES,) a face connects this edge with the next one
+    unit: np.ndarray  # (_MOST_EDGES,) edges of the factor that begins here: 1, 2; 0: it began one before
+    size: np.ndarray  # (_MOST_EDGES,) how much a factor matters
+    set: np.ndarray  # (_MOST_EDGES,) whether its factor is there
 
 
 def make_way_scratch() -> WayScratch:
     """Empty."""
-    m = MOST_EDGES
+    m = _MOST_EDGES
     return WayScratch(
-        total=np.empty((2, TRIED)),
-        last=np.empty((2, TRIED), np.int64),
+        total=np.empty((2, _TRIED)),
+        last=np.empty((2, _TRIED), np.int64),
         done=np.empty((_MOST_WAYS, m), np.int64),
         edge=np.empty(m, np.int64),
         z=np.empty(m),
@@ -125,7 +125,7 @@ def make_way_scratch() -> WayScratch:
 
 
 @part
-def reaches(view: View, wedges: Wedges, p: Vec3, e: int, at: Vec3) -> bool:
+def _reaches(view: View, wedges: Wedges, p: Vec3, e: int, at: Vec3) -> bool:
     """Whether sound gets from a point to a place off an edge."""
     geometry = view.geometry
     return unoccluded(geometry, p, at) or unoccluded(geometry, p, beside(geometry, wedges, e, at))
@@ -135,12 +135,12 @@ def reaches(view: View, wedges: Wedges, p: Vec3, e: int, at: Vec3) -> bool:
 def _seen_place(view: View, wedges: Wedges, e: int, p: Vec3, z: float) -> float:
     """The place of an edge, m, that a point sees: the nearest one, or of some along it that which is nearest."""
     far, best = wedges.length[e], math.nan
-    if reaches(view, wedges, p, e, met_point(wedges, e, z)):
+    if _reaches(view, wedges, p, e, met_point(wedges, e, z)):
         return min(max(z, 0.0), far)
     for k in range(_PLACES):
         tried = (k + 0.5) / _PLACES * far
         nearer = not abs(best - z) <= abs(tried - z)
-        if nearer and reaches(view, wedges, p, e, clear_point(wedges, e, tried)):
+        if nearer and _reaches(view, wedges, p, e, clear_point(wedges, e, tried)):
             best = tried
     return best
 
@@ -169,7 +169,7 @@ def _find_ways(
             if z >= 0.0:
                 ways.length[i, e], ways.round[i, e] = distance(p, edge_point(wedges, e, z)), 0
                 ways.z[i, e], ways.phi[i, e] = z, at[n, 1]
-        for done in range(1, MOST_EDGES):
+        for done in range(1, _MOST_EDGES):
             for e in range(len(wedges.length)):
                 if ways.round[i, e] != done - 1:
                     continue
@@ -236,12 +236,12 @@ def choose_ways(
             continue
         k = count
         while k > 0 and total[k - 1] > way:
-            if k < TRIED:
+            if k < _TRIED:
                 total[k], last[k] = total[k - 1], last[k - 1]
             k -= 1
-        if k < TRIED:
+        if k < _TRIED:
             total[k], last[k] = way, e
-            count = min(count + 1, TRIED)
+            count = min(count + 1, _TRIED)
     return count
 
 
@@ -259,7 +259,7 @@ def set_way(ways: Ways, i: int, last: int, reverse: bool, scratch: WayScratch) -
     one of too many."""
     count, e = 0, last
     while e >= 0:
-        if count == MOST_EDGES:
+        if count == _MOST_EDGES:
             return 0
         scratch.edge[count], scratch.found[count] = e, ways.z[i, e]
         count, e = count + 1, ways.before[i, e]
@@ -277,12 +277,12 @@ def is_new(count: int, solved: int, scratch: WayScratch) -> bool:
     if solved == _MOST_WAYS:
         return False
     for k in range(solved):
-        same = count == MOST_EDGES or scratch.done[k, count] < 0
+        same = count == _MOST_EDGES or scratch.done[k, count] < 0
         for n in range(count):
             same &= scratch.done[k, n] == scratch.edge[n]
         if same:
             return False
-    for n in range(MOST_EDGES):
+    for n in range(_MOST_EDGES):
         scratch.done[solved, n] = scratch.edge[n] if n < count else -1
     return True
 
@@ -316,14 +316,14 @@ def _pull_taut(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch
 def _all_free(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> bool:
     edge, z = scratch.edge, scratch.z
     at = met_point(wedges, edge[0], z[0])
-    if not reaches(view, wedges, p, edge[0], at):
+    if not _reaches(view, wedges, p, edge[0], at):
         return False
     for n in range(1, count):
         to = met_point(wedges, edge[n], z[n])
         if not is_free(view.geometry, wedges, (edge[n - 1], edge[n]), (at, to)):
             return False
         at = to
-    return reaches(view, wedges, q, edge[count - 1], at)
+    return _reaches(view, wedges, q, edge[count - 1], at)
 
 
 @part
@@ -374,7 +374,7 @@ def solve_way(
         _leave_out(slack, count, scratch)
         count -= 1
     before = count
-    for n in range(MOST_EDGES - 1):
+    for n in range(_MOST_EDGES - 1):
         if ok and n < count - 1:
             count = _add_face(edges, n, count, p, q, scratch)
     if count > before:
@@ -411,7 +411,7 @@ def _add_face(edges: Edges, n: int, count: int, p: Vec3, q: Vec3, scratch: WaySc
         phi, sector, leg = wedge_coordinates(wedges, e, to).phi, math.pi * wedges.n[e], distance(own, to)
         face = 0 if phi < 0.5 * sector or phi > 0.5 * sector + math.pi else 1
         off = abs(phi - sector) if face == 1 else min(phi, 2.0 * math.pi - phi)
-        if off > _ALONG or count == MOST_EDGES:
+        if off > _ALONG or count == _MOST_EDGES:
             continue
         for m in range(links.start[e], links.start[e + 1]):
             f, far = links.wedge[m], links.width[m] / leg
