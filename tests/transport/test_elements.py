@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ def _wall(thickness: float, middle: float = 4.0) -> Mesh:
     return wall.vertices + [middle - thickness / 2, -0.001, -0.001], wall.faces
 
 
-def _rooms(materials: ss.MaterialTable, rows: object, wall: Mesh) -> ss.Scene:
+def _rooms(materials: ss.MaterialTable, rows: int | list[int] | np.ndarray, wall: Mesh) -> ss.Scene:
     """Two rooms of 4 x 4 x 2.5 m side by side along x, and what is between them."""
     room, (vertices, faces) = box((8.0, 4.0, 2.5), materials), wall
     of_wall = np.broadcast_to(np.repeat(rows, 2 if np.ndim(rows) else 1), len(faces))
@@ -38,14 +40,19 @@ def _rooms(materials: ss.MaterialTable, rows: object, wall: Mesh) -> ss.Scene:
 
 
 def _solid(
-    materials: ss.MaterialTable, rows: object, thickness: float, inward: bool = False
+    materials: ss.MaterialTable,
+    rows: int | list[int] | np.ndarray,
+    thickness: float,
+    inward: bool = False,
 ) -> ss.Scene:
     vertices, faces = _wall(thickness)
     return _rooms(materials, rows, (vertices, faces[:, ::-1] if inward else faces))
 
 
 @kernel
-def _cross(first: int, last: int, scene: tuple, p: np.ndarray, q: np.ndarray, out: np.ndarray) -> None:
+def _cross(
+    first: int, last: int, scene: tuple[Any, ...], p: np.ndarray, q: np.ndarray, out: np.ndarray
+) -> None:
     for i in range(first, last):
         out[i] = 1.0
         cross_walls(scene[0], scene[1], row(p, i), row(q, i), out[i])

@@ -74,7 +74,7 @@ def test_points_in_bodies_are_refused_by_name(size: tuple[float, float, float], 
     with pytest.raises(
         PointError, match=r"listeners: point 1 at \(3\.\d+, .* is inside a body .* holds no air"
     ):
-        ss.simulate(scene, [[1.0, 1.0, 1.0]], [[5.0, 3.0, 1.0], inside], QUICK)
+        ss.simulate(scene, [[1.0, 1.0, 1.0]], np.array([[5.0, 3.0, 1.0], inside]), QUICK)
     for off in (1e-3, 0.0):
         e = ss.simulate(scene, [[1.0, 1.0, 1.0]], [[3.0 - off, 1.3, 0.4]], QUICK)
         assert e.energy.sum() > 0.0
