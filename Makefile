@@ -65,6 +65,10 @@ $(VENV)/.explores: $(VENV)/.installed
 	$(INSTALL) --no-deps -e ./neighbours/explorer
 	@touch $@
 
+$(VENV)/.collects: $(VENV)/.installed
+	$(INSTALL) --no-deps -e ./neighbours/collections
+	@touch $@
+
 $(VENV)/.engine-local: $(VENV)/.installed
 	@touch $@
 
@@ -87,7 +91,7 @@ rirs: $(VENV)/.engine-$(ENGINE) ## Simulate a scene: grid, transport, shards, ma
 
 collection: OUT = out/collection
 collection: CONFIG = pipelines/collection.toml
-collection: $(VENV)/.engine-$(ENGINE) ## Datasets of many generated homes: splits, episodes, checksums, report [HOMES=1000] [JOBS=n]
+collection: $(VENV)/.engine-$(ENGINE) $(VENV)/.collects ## Datasets of many generated homes: splits, episodes, checksums, report [HOMES=1000] [JOBS=n]
 	@$(BIN)/soundspaces-sim collection --out "$(OUT)" --homes $(HOMES) --config "$(CONFIG)" $(if $(JOBS),--jobs $(JOBS)) \
 	  $(if $(WALKS),--walks $(WALKS)) --engine "$(ENGINE)" $(foreach o,$(ENGINE_OPTIONS),--engine-option "$(o)") $(ARGS)
 

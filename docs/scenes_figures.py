@@ -2,7 +2,7 @@
 
 Times are simulated: T30, mean of the bands about 500 Hz and 1 kHz, of pairs in one room with all doors as they are,
 one source and two listeners a room, of `_WALKS` subpaths a point; the median of a room's pairs. Published figures
-stand beside them; `nav.collection.published` says what each is.
+stand beside them; `soundspaces_collections.rooms.PUBLISHED` says what each is.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from soundspaces_collections.rooms import histogram, middle
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.measures import echograms_measures
-from soundspaces_sim.nav.collection.rooms import histogram, middle
 from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.generate.buildings.registry import building_rooms
 from soundspaces_sim.scene.generate.buildings.shell import Room

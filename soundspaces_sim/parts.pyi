@@ -1,7 +1,13 @@
 """The parts and where they live: read by type checkers, and by `parts.py` when it is imported."""
 
+from .build.engines import (
+    ENGINES,
+)
 from .build.engines.local import (
     worker_pool,
+)
+from .build.forecast import (
+    forecast,
 )
 from .build.rooms import (
     in_processes,
@@ -13,6 +19,7 @@ from .build.warm_up import (
     start as compile_ahead,
 )
 from .cli.console import (
+    DAMAGED,
     INTERRUPTED,
     Meter,
     run_app,
@@ -24,6 +31,7 @@ from .cli.options import (
     Read,
     RendererOption,
     ReplaceOption,
+    check_folder,
     check_renderer_option,
     need_matplotlib,
     open_found,
@@ -37,8 +45,14 @@ from .core.config import (
     DatasetConfig,
     check_rate,
 )
+from .core.errors import (
+    EpisodeError,
+)
 from .core.extras import (
     install_hint,
+)
+from .core.extras import (
+    need as need_extras,
 )
 from .core.io.files import (
     make_folder,
@@ -52,6 +66,9 @@ from .core.io.hdf5 import (
     open_hdf5,
     plain_dataset,
     read_numbers,
+)
+from .core.io.resources import (
+    resource as packaged_file,
 )
 from .core.io.sofa import (
     data_delay,
@@ -112,8 +129,30 @@ from .core.registry import (
 from .core.registry import (
     find as find_entry,
 )
+from .core.registry import (
+    names as entry_names,
+)
+from .core.simulation_config import (
+    number_text,
+)
 from .dataset.exporters.wav import (
     wav_bytes,
+)
+from .dataset.format.card import (
+    MAKER,
+)
+from .dataset.format.collection_manifest import (
+    CollectionManifest,
+    write_collection,
+)
+from .dataset.format.collection_manifest import (
+    Failure as CollectionFailure,
+)
+from .dataset.format.collection_manifest import (
+    beside as files_beside,
+)
+from .dataset.format.collection_manifest import (
+    collected as collected_dataset,
 )
 from .dataset.format.floorplan import (
     read_floorplan,
@@ -182,9 +221,6 @@ from .nav.agents import (
     oracle_action,
 )
 from .nav.audio_sensor import seconds_of
-from .nav.collection.pipeline import (
-    FOLDER as EPISODES_FOLDER,
-)
 from .nav.continuous.draw import (
     draw_episode,
 )
@@ -211,6 +247,9 @@ from .nav.episode_state import (
     EpisodeState,
 )
 from .nav.episodes import (
+    FOLDER as EPISODES_FOLDER,
+)
+from .nav.episodes import (
     split_file,
 )
 from .nav.episodes import (
@@ -235,6 +274,7 @@ from .nav.map_page import (
 )
 from .nav.navigation_graph import (
     FORWARD,
+    HEADINGS,
     STOP,
     heading_index,
 )
@@ -303,6 +343,14 @@ from .scene.formats.ply import (
 from .scene.frame import (
     UNITS as LENGTH_UNITS,
 )
+from .scene.generate.buildings.registry import (
+    BUILDINGS,
+    building_of,
+    building_rooms,
+)
+from .scene.generate.buildings.walkway import (
+    inside as inside_polygon,
+)
 from .scene.generate.demo import (
     Box,
     boxes_mesh,
@@ -366,8 +414,19 @@ from .transport.preparation import (
 from .transport.simulate import (
     simulate_pairs,
 )
+from .viz.axonometric import (
+    above_picture,
+    inside_picture,
+    write_small,
+)
 from .viz.html_page import (
     write_page,
+)
+from .viz.plan import (
+    BLUE as PLOT_BLUE,
+)
+from .viz.plan import (
+    VERMILION as PLOT_RED,
 )
 from .viz.report import (
     png,
@@ -376,22 +435,29 @@ from .viz.report import (
 __all__ = [
     "BASELINES",
     "BIN_S",
+    "BUILDINGS",
+    "DAMAGED",
     "DEFAULT_BANDS",
     "DEFAULT_SOUND",
     "DIRECT_SOUND",
+    "ENGINES",
     "EPISODES_FOLDER",
     "FORWARD",
     "FREE",
+    "HEADINGS",
     "INTERRUPTED",
     "INV_4PI",
     "LEAST_DISTANCE",
     "LENGTH_UNITS",
     "LONGEST_RESPONSE",
+    "MAKER",
     "MANIFEST_NAME",
     "MEASURES",
     "MOST_BANDS",
     "MOST_DB",
     "PLANE_WAVES",
+    "PLOT_BLUE",
+    "PLOT_RED",
     "POINTGOAL",
     "RANGES",
     "SLACK_REWARD",
@@ -400,12 +466,15 @@ __all__ = [
     "SUCCESS_REWARD",
     "Agent",
     "Box",
+    "CollectionFailure",
+    "CollectionManifest",
     "ContinuousOptions",
     "ContinuousSetting",
     "ContinuousState",
     "DatasetConfig",
     "EarMode",
     "EnvSetting",
+    "EpisodeError",
     "EpisodeMaker",
     "EpisodeRules",
     "EpisodeState",
@@ -433,6 +502,7 @@ __all__ = [
     "TaskName",
     "WarmUp",
     "WaveField",
+    "above_picture",
     "absorption_shares",
     "air_transmission",
     "arrival_filters",
@@ -443,15 +513,19 @@ __all__ = [
     "band_shares",
     "band_windows",
     "boxes_mesh",
+    "building_of",
+    "building_rooms",
     "cast_ray",
     "center_frequencies",
     "check_entry_name",
+    "check_folder",
     "check_inside",
     "check_ply",
     "check_rate",
     "check_renderer_option",
     "closedness",
     "closure_error_db",
+    "collected_dataset",
     "combine_keys",
     "compile_ahead",
     "convert_ambisonics",
@@ -465,12 +539,15 @@ __all__ = [
     "draw_trail",
     "echograms_measures",
     "energy_measures",
+    "entry_names",
     "env_options",
+    "files_beside",
     "find_entry",
     "find_floors",
     "find_matterport",
     "first_loud",
     "floor_heights",
+    "forecast",
     "fractional_octaves",
     "free_memory",
     "group_planes",
@@ -480,6 +557,8 @@ __all__ = [
     "heading_index",
     "in_our_words",
     "in_processes",
+    "inside_picture",
+    "inside_polygon",
     "install_hint",
     "kernel",
     "levels_of",
@@ -495,9 +574,11 @@ __all__ = [
     "mono",
     "music",
     "nearest_name",
+    "need_extras",
     "need_matplotlib",
     "neighbouring_cells",
     "nominal",
+    "number_text",
     "octaves_below",
     "open_found",
     "open_hdf5",
@@ -505,6 +586,7 @@ __all__ = [
     "oracle_action",
     "output_folder",
     "overlay_tables",
+    "packaged_file",
     "pair_seed",
     "place_responses",
     "plain_dataset",
@@ -548,6 +630,8 @@ __all__ = [
     "walk_straight",
     "wav_bytes",
     "worker_pool",
+    "write_collection",
     "write_page",
+    "write_small",
     "write_splits",
 ]

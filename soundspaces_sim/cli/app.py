@@ -7,11 +7,10 @@ from typing import Annotated
 import typer
 
 from soundspaces_sim.cli import (
-    collection,
     datasets,
-    explore,
     jobs,
     nav,
+    neighbours,
     pictures,
     rooms,
     simulation,
@@ -49,7 +48,6 @@ def main_options(
 for command in (
     simulation.rirs,
     rooms.rooms,
-    collection.collection,
     jobs.plan,
     jobs.status,
     jobs.finish,
@@ -64,7 +62,8 @@ for command in (
     pictures.report,
 ):
     app.command()(command)
-app.command(context_settings=explore.WITHOUT_OWN_OPTIONS)(explore.explore)
+for name, (_, text) in neighbours.COMMANDS.items():
+    app.command(name, context_settings=neighbours.WITHOUT_OWN_OPTIONS, help=text)(neighbours.hand_over)
 app.add_typer(nav.app, name="nav")
 
 

@@ -27,6 +27,7 @@ from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT, habitat_poi
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.navigation_graph import NavigationGraph, heading_index
 
+FOLDER = "episodes/replica/v1"  # of a collection's episodes, in its folder
 _LONGEST = 1_000_000  # steps
 _GOAL = ("object_id", "object_name", "object_category", "room_id", "room_name", "view_points")
 

@@ -93,14 +93,14 @@ def test_scene_options_reach_the_scene(tmp_path: Path) -> None:
         assert done.returncode == 2 and ("own.toml" in done.stderr or "up:" in done.stderr)
 
 
-def test_the_explorer_is_handed_over_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_neighbours_command_is_handed_over_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By an entry point of a distribution of its own, with all that follows the command; else it is said."""
     with pytest.raises(ss.ConfigError, match="not installed"):
         raise CliRunner().invoke(app, ["explore", "demo"]).exception or AssertionError
     folder = tmp_path / "some_explorer-1.dist-info"
     folder.mkdir()
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: some-explorer\nVersion: 1\n")
-    (folder / "entry_points.txt").write_text("[soundspaces_sim.explorer]\nexplore = some_explorer:app\n")
+    (folder / "entry_points.txt").write_text("[soundspaces_sim.commands]\nexplore = some_explorer:app\n")
     (tmp_path / "some_explorer.py").write_text(
         "import typer\napp = typer.Typer()\n@app.command()\n"
         "def explore(scene: str, port: int = 0) -> None:\n    print(scene, port)\n"

@@ -15,13 +15,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.io.untrusted import read_text
-from soundspaces_sim.dataset.format.floorplan import read_floorplan
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.layout.records import storeys_of
-from soundspaces_sim.nav.collection.rooms import RoomTimes, median_of, rooms_of
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_collections.rooms import RoomTimes, median_of, rooms_of
+from soundspaces_sim import DatasetError, RirDataset, Scene
+from soundspaces_sim.parts import read_floorplan, read_text, storeys_of
 
 NAME = "homes.jsonl"
 _MOST = 2**31  # bytes

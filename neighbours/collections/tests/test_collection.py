@@ -8,15 +8,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
-import soundspaces_sim as ss
-from soundspaces_sim.cli.app import app
-from soundspaces_sim.dataset.format.collection_manifest import read_collection, verify_collection
-from soundspaces_sim.nav.collection import make, report
-from soundspaces_sim.nav.collection.make import Collection, forecast_collection, split_of
-from soundspaces_sim.nav.collection.pipeline import build_collection
-from soundspaces_sim.nav.collection.records import (
+from soundspaces_collections import make, report
+from soundspaces_collections.make import Collection, forecast_collection, split_of
+from soundspaces_collections.pipeline import build_collection
+from soundspaces_collections.records import (
     Distribution,
     Record,
     add_record,
@@ -25,6 +20,11 @@ from soundspaces_sim.nav.collection.records import (
     floor_area,
     read_records,
 )
+from typer.testing import CliRunner
+
+import soundspaces_sim as ss
+from soundspaces_sim.cli.app import app
+from soundspaces_sim.dataset.format.collection_manifest import read_collection, verify_collection
 from tests.conftest import small_job
 from tests.rooms import table, two_rooms
 

@@ -12,25 +12,29 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from soundspaces_sim.build.rooms import in_processes
-from soundspaces_sim.core.config import JobConfig
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.simulation_config import number_text
-from soundspaces_sim.core.version import __version__
-from soundspaces_sim.dataset.format.card import MAKER
-from soundspaces_sim.dataset.format.collection_manifest import Failure
-from soundspaces_sim.dataset.format.floorplan import read_floorplan
-from soundspaces_sim.dataset.format.manifest import read_manifest
-from soundspaces_sim.layout.records import storeys_of
-from soundspaces_sim.nav.collection.make import Collection, Log, Task, make_task, split_of
-from soundspaces_sim.nav.collection.records import Record, add_record, edges_of, read_records
-from soundspaces_sim.nav.collection.rooms import compared, histogram, times_by_use
-from soundspaces_sim.nav.depth import depth_views
-from soundspaces_sim.nav.navigation_graph import HEADINGS
-from soundspaces_sim.scene.load import load_scene
-from soundspaces_sim.viz.axonometric import above_picture, inside_picture, write_small
-from soundspaces_sim.viz.plan import BLUE, VERMILION, draw_plan
+from soundspaces_collections.make import Collection, Log, Task, make_task, split_of
+from soundspaces_collections.records import Record, add_record, edges_of, read_records
+from soundspaces_collections.rooms import compared, histogram, times_by_use
+from soundspaces_sim import DatasetError, JobConfig, __version__, load_scene
+from soundspaces_sim.nav import depth_views
+from soundspaces_sim.parts import (
+    HEADINGS,
+    MAKER,
+    above_picture,
+    in_processes,
+    inside_picture,
+    make_folder,
+    number_text,
+    read_floorplan,
+    read_manifest,
+    storeys_of,
+    write_small,
+)
+from soundspaces_sim.parts import PLOT_BLUE as BLUE
+from soundspaces_sim.parts import PLOT_RED as VERMILION
+from soundspaces_sim.parts import CollectionFailure as Failure
+from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.viz import draw_plan
 
 _AIM = 1000  # buildings that the forecast is of
 #: Of the seed paper's table of datasets (ECCV 2020, Table "Summary of SoundSpaces dataset properties").
@@ -96,7 +100,7 @@ def report(
     parts = [
         f"# A collection of {of.kind}s\n",
         f"{len(rows)} of the generated buildings `{of.kind}-<n>` ([Your own "
-        f"scene](scenes.md#generated-buildings)), each with "
+        f"scene](../../docs/scenes.md#generated-buildings)), each with "
         f"all room impulse responses between its points: {pairs:,} in {size / 1e9:.2f} GB, "
         f"{size / pairs / 1e3:.2f} kB "
         f"each. Made and described by `make collection HOMES={of.count}` (version {__version__}); "

@@ -1,4 +1,4 @@
-"""`collection`: many generated buildings as one open collection."""
+"""`soundspaces-sim collection`: many generated buildings as one open collection."""
 
 from __future__ import annotations
 
@@ -7,16 +7,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from soundspaces_sim.build.engines import ENGINES
-from soundspaces_sim.cli.console import DAMAGED, INTERRUPTED, Meter, size_text
-from soundspaces_sim.cli.options import check_folder, read_settings
-from soundspaces_sim.core.io.resources import resource
-from soundspaces_sim.core.registry import check_name, names
+from soundspaces_sim.parts import (
+    DAMAGED,
+    ENGINES,
+    INTERRUPTED,
+    Meter,
+    check_folder,
+    read_settings,
+    run_app,
+    size_text,
+)
+from soundspaces_sim.parts import check_entry_name as check_name
+from soundspaces_sim.parts import entry_names as names
+from soundspaces_sim.parts import packaged_file as resource
 
 if TYPE_CHECKING:
-    from soundspaces_sim.dataset.format.collection_manifest import CollectionManifest
+    from soundspaces_sim.parts import CollectionManifest
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
+@app.command()
 def collection(
     out: Annotated[Path, typer.Option(help="Folder of the collection.")] = Path("out/collection"),
     homes: Annotated[int, typer.Option(help="How many buildings.")] = 1000,
@@ -43,7 +54,7 @@ def collection(
     ] = False,
 ) -> None:
     """Build datasets of generated buildings with splits, episodes, statistics, checksums and a report."""
-    from soundspaces_sim.nav.collection.pipeline import build_collection
+    from soundspaces_collections.pipeline import build_collection
 
     settings = read_settings(
         config or resource("pipelines", "collection.toml"), {"--walks": ("simulation", "walks", walks)}
@@ -80,3 +91,12 @@ def _summary(made: CollectionManifest, out: Path) -> None:
         print(f"{failure.scene} failed: {failure.error}")
     if made.failures:
         raise typer.Exit(DAMAGED)
+
+
+def main() -> None:
+    """Entry point."""
+    run_app(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -13,17 +13,20 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from soundspaces_sim.build.build import build_dataset, build_datasets
-from soundspaces_sim.build.forecast import forecast
-from soundspaces_sim.build.rooms import in_processes
-from soundspaces_sim.core.config import JobConfig
-from soundspaces_sim.core.errors import ConfigError, DatasetError, SimulationError, SoundSpacesSimError
-from soundspaces_sim.core.numerics.kernel import core_count
-from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
-from soundspaces_sim.dataset.format.manifest import read_manifest
-from soundspaces_sim.dataset.reader import open_dataset
-from soundspaces_sim.nav.collection.records import Record, add_record, describe, read_records
-from soundspaces_sim.scene.load import load_scene
+from soundspaces_collections.records import Record, add_record, describe, read_records
+from soundspaces_sim import (
+    ConfigError,
+    DatasetError,
+    JobConfig,
+    SimulationError,
+    SoundSpacesSimError,
+    build_dataset,
+    build_datasets,
+    load_scene,
+    open_dataset,
+)
+from soundspaces_sim.parts import MANIFEST_NAME as MANIFEST
+from soundspaces_sim.parts import core_count, forecast, in_processes, read_manifest
 
 Log = Callable[[str], None]
 Progress = Callable[[int, int, str], None]

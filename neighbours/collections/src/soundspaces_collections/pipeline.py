@@ -9,21 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.config import JobConfig
-from soundspaces_sim.core.errors import EpisodeError
-from soundspaces_sim.core.extras import need
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.version import __version__
-from soundspaces_sim.dataset.format.collection_manifest import (
-    CollectionManifest,
-    Failure,
-    beside,
-    collected,
-    write_collection,
-)
-from soundspaces_sim.dataset.format.splits import SPLITS, write_splits
-from soundspaces_sim.nav.collection import report
-from soundspaces_sim.nav.collection.make import (
+from soundspaces_collections import report
+from soundspaces_collections.make import (
     Collection,
     Log,
     Progress,
@@ -33,11 +20,32 @@ from soundspaces_sim.nav.collection.make import (
     make_all,
     split_of,
 )
-from soundspaces_sim.nav.collection.records import NAME, Record
-from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.episodes import Episode, read_episodes, write_episodes
-from soundspaces_sim.nav.generate import EpisodeMaker, Rules
-from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
+from soundspaces_collections.records import NAME, Record
+from soundspaces_sim import JobConfig, __version__
+from soundspaces_sim.nav import Episode, NavData, SoundBank, read_episodes, write_episodes
+from soundspaces_sim.parts import DEFAULT_SOUND as DEFAULT
+from soundspaces_sim.parts import EPISODES_FOLDER as FOLDER
+from soundspaces_sim.parts import (
+    SPLITS,
+    CollectionManifest,
+    EpisodeError,
+    EpisodeMaker,
+    make_folder,
+    write_collection,
+    write_splits,
+)
+from soundspaces_sim.parts import (
+    CollectionFailure as Failure,
+)
+from soundspaces_sim.parts import EpisodeRules as Rules
+from soundspaces_sim.parts import (
+    collected_dataset as collected,
+)
+from soundspaces_sim.parts import (
+    files_beside as beside,
+)
+from soundspaces_sim.parts import need_extras as need
+from soundspaces_sim.parts import publish_file as publish
 
 LOG = "log.txt"
 
@@ -156,14 +164,10 @@ def _quiet(done: int, total: int, what: str) -> None:
     """Tells nobody."""
 
 
-FOLDER = "episodes/replica/v1"
-
-
 def _write_episodes(of: Collection, log: Log) -> dict[str, int]:
     """Write ``episodes/replica/v1/<split>/`` for all splits; how many episodes each building has. Those that are
-    there
-    are kept. A building in whose graph no walk is long enough has none: agents walk on the grid, and one of 1 m
-    does not pass every door."""
+    there are kept. A building in whose graph no walk is long enough has none: agents walk on the grid, and one of
+    1 m does not pass every door."""
     data = NavData(of.out)
     bank = SoundBank(of.config.dataset.rate)
     counts: dict[str, int] = {}

@@ -1,0 +1,42 @@
+"""Commands of distributions of their own: `soundspaces-sim` hands over to what an entry point names."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from typing import Annotated
+
+import typer
+
+from soundspaces_sim.cli.console import run_app
+from soundspaces_sim.core.errors import ConfigError
+
+GROUP = "soundspaces_sim.commands"  # of entry points; each is a typer app, by the command's name
+#: Folder in neighbours/ and help of every command.
+COMMANDS = {
+    "collection": (
+        "collections",
+        "Build datasets of many generated buildings: splits, episodes, report.",
+    ),
+    "explore": ("explorer", "Hear a scene in the browser while it is simulated, or a dataset."),
+}
+WITHOUT_OWN_OPTIONS = {
+    "allow_extra_args": True,
+    "ignore_unknown_options": True,
+    "help_option_names": [],  # the neighbour's own help is the one that is asked for
+}
+
+
+def hand_over(
+    context: typer.Context,
+    _arguments: Annotated[
+        list[str] | None, typer.Argument(metavar="…", help="Arguments and options: --help.")
+    ] = None,
+) -> None:
+    """Run the neighbour's command. Raises `ConfigError` if it is not installed."""
+    name = context.info_name or ""
+    found = list(entry_points(group=GROUP, name=name))
+    if not found:
+        raise ConfigError(
+            f"{name}: not installed; in a clone: .venv/bin/pip install ./neighbours/{COMMANDS[name][0]}"
+        )
+    run_app(found[0].load(), [*(_arguments or []), *context.args], f"soundspaces-sim {name}")

@@ -1,1 +1,0 @@
-"""Collections of generated buildings: `make collection`."""
