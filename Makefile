@@ -78,7 +78,7 @@ $(VENV)/.engine-%: $(VENV)/.installed
 
 $(VENV)/.navigates: $(VENV)/.installed
 	@build=""; if [ "$(TORCH)" = cpu ]; then build=$$($(BIN)/python pipelines/torch_cpu.py --index "$(TORCH_INDEX)") || exit 1; fi; \
-	  set -x; $(INSTALL) $$build -e ".[nav,figures]" -e ./neighbours/agents
+	  set -x; $(INSTALL) $$build -e ".[nav,figures]" -e ./neighbours/continuous -e ./neighbours/agents
 	@touch $@
 
 install: $(VENV)/.installed ## Set up the virtual environment

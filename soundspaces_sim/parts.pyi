@@ -84,6 +84,9 @@ from .core.io.untrusted import (
     read_text,
 )
 from .core.keywords import (
+    check_keywords,
+)
+from .core.keywords import (
     nearest as nearest_name,
 )
 from .core.limits import LEAST_DISTANCE
@@ -110,6 +113,9 @@ from .core.numerics.kernel import (
     kernel,
     set_thread_count,
     thread_count,
+)
+from .core.numerics.kernel import (
+    part as kernel_part,
 )
 from .core.numerics.rng import (
     combine as combine_keys,
@@ -170,8 +176,10 @@ from .dataset.format.splits import (
 )
 from .echogram.echogram import (
     direct_arrival,
+    without_arrivals,
 )
 from .echogram.filters import (
+    air_spectrum,
     arrival_filters,
     band_shares,
     band_windows,
@@ -220,25 +228,32 @@ from .nav.agents import (
     Observation,
     oracle_action,
 )
-from .nav.audio_sensor import seconds_of
-from .nav.continuous.draw import (
-    draw_episode,
+from .nav.audio_sensor import (
+    RMS_AT_1_M,
+    seconds_of,
 )
-from .nav.continuous.env import (
-    ContinuousSetting,
+from .nav.audio_sensor import (
+    intensity as sound_intensity,
 )
-from .nav.continuous.sound_field import (
-    PathsName,
-    SimulatedPaths,
+from .nav.cache import (
+    BlockCache,
+    LastUsed,
 )
-from .nav.continuous.state import (
-    ContinuousState,
-)
-from .nav.continuous.task import (
-    ContinuousOptions,
+from .nav.depth.draw import (
+    check_scene,
+    scene_of_dataset,
 )
 from .nav.env import (
     Setting as EnvSetting,
+)
+from .nav.env import (
+    box as sensor_box,
+)
+from .nav.env import (
+    check_rates,
+    open_sounds,
+    state_info,
+    wanted_episode,
 )
 from .nav.env_options import (
     env_options,
@@ -275,6 +290,8 @@ from .nav.map_page import (
 from .nav.navigation_graph import (
     FORWARD,
     HEADINGS,
+    LEFT,
+    RIGHT,
     STOP,
     heading_index,
 )
@@ -283,6 +300,11 @@ from .nav.sensor_table import (
 )
 from .nav.sensor_table import pointgoal as pointgoal_reading
 from .nav.sensors import SensorSuite
+from .nav.sound_field import (
+    PathsName,
+    Place,
+    SimulatedPaths,
+)
 from .nav.sounds import (
     DEFAULT as DEFAULT_SOUND,
 )
@@ -294,12 +316,27 @@ from .nav.task import SUCCESS as SUCCESS_REWARD
 from .nav.task import (
     EarMode,
     TaskName,
+    as_sensors,
+)
+from .nav.views import (
+    CAMERA_HEIGHT,
+    drawn_size,
+)
+from .nav.views import (
+    check_size as check_picture_size,
+)
+from .nav.views import (
+    normalise as normalise_depth,
+)
+from .nav.views import (
+    shrink as shrink_views,
 )
 from .rendering.ambisonics import (
     pair_seed,
     response_length,
 )
 from .rendering.decoder import (
+    decoder_filters,
     direction_filters,
 )
 from .rendering.dry import (
@@ -436,6 +473,7 @@ __all__ = [
     "BASELINES",
     "BIN_S",
     "BUILDINGS",
+    "CAMERA_HEIGHT",
     "DAMAGED",
     "DEFAULT_BANDS",
     "DEFAULT_SOUND",
@@ -448,6 +486,7 @@ __all__ = [
     "INTERRUPTED",
     "INV_4PI",
     "LEAST_DISTANCE",
+    "LEFT",
     "LENGTH_UNITS",
     "LONGEST_RESPONSE",
     "MAKER",
@@ -460,17 +499,17 @@ __all__ = [
     "PLOT_RED",
     "POINTGOAL",
     "RANGES",
+    "RIGHT",
+    "RMS_AT_1_M",
     "SLACK_REWARD",
     "SPLITS",
     "STOP",
     "SUCCESS_REWARD",
     "Agent",
+    "BlockCache",
     "Box",
     "CollectionFailure",
     "CollectionManifest",
-    "ContinuousOptions",
-    "ContinuousSetting",
-    "ContinuousState",
     "DatasetConfig",
     "EarMode",
     "EnvSetting",
@@ -484,11 +523,13 @@ __all__ = [
     "HrtfOption",
     "Interval",
     "LabelledMesh",
+    "LastUsed",
     "MapPage",
     "MaterialGroups",
     "Meter",
     "Observation",
     "PathsName",
+    "Place",
     "PlyElements",
     "PreparedScene",
     "ProfileOption",
@@ -504,8 +545,10 @@ __all__ = [
     "WaveField",
     "above_picture",
     "absorption_shares",
+    "air_spectrum",
     "air_transmission",
     "arrival_filters",
+    "as_sensors",
     "at_points",
     "attribute",
     "band_energies",
@@ -520,9 +563,13 @@ __all__ = [
     "check_entry_name",
     "check_folder",
     "check_inside",
+    "check_keywords",
+    "check_picture_size",
     "check_ply",
     "check_rate",
+    "check_rates",
     "check_renderer_option",
+    "check_scene",
     "closedness",
     "closure_error_db",
     "collected_dataset",
@@ -532,11 +579,12 @@ __all__ = [
     "core_count",
     "data_delay",
     "decay_curve",
+    "decoder_filters",
     "delayed",
     "direct_arrival",
     "direction_filters",
-    "draw_episode",
     "draw_trail",
+    "drawn_size",
     "echograms_measures",
     "energy_measures",
     "entry_names",
@@ -561,6 +609,7 @@ __all__ = [
     "inside_polygon",
     "install_hint",
     "kernel",
+    "kernel_part",
     "levels_of",
     "limit_transmission",
     "load_result",
@@ -578,11 +627,13 @@ __all__ = [
     "need_matplotlib",
     "neighbouring_cells",
     "nominal",
+    "normalise_depth",
     "number_text",
     "octaves_below",
     "open_found",
     "open_hdf5",
     "open_mesh",
+    "open_sounds",
     "oracle_action",
     "output_folder",
     "overlay_tables",
@@ -610,15 +661,20 @@ __all__ = [
     "response_length",
     "rotation_matrix",
     "run_app",
+    "scene_of_dataset",
     "seconds_of",
     "section",
+    "sensor_box",
     "set_thread_count",
     "shares",
+    "shrink_views",
     "simulate_pairs",
     "simulate_tile",
     "size_text",
+    "sound_intensity",
     "spherical_harmonics",
     "split_file",
+    "state_info",
     "storeys_of",
     "syllables",
     "synthesise",
@@ -628,7 +684,9 @@ __all__ = [
     "unpacked_episodes",
     "variety",
     "walk_straight",
+    "wanted_episode",
     "wav_bytes",
+    "without_arrivals",
     "worker_pool",
     "write_collection",
     "write_page",

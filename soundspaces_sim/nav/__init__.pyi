@@ -2,10 +2,6 @@
 
 from .agents import EarFollower, Forward, GoalFollower, Oracle, Random
 from .audio_sensor import bake_sound
-from .continuous.agents import ContinuousOracle, DirectionFollower
-from .continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
-from .continuous.episodes import ContinuousEpisode, Rules, SoundSource
-from .continuous.sound_field import SoundField
 from .data import NavData
 from .depth.draw import depth_views
 from .env import AudioNavEnv, register_environments
@@ -14,6 +10,7 @@ from .evaluate import Result, evaluate
 from .generate import make_episodes
 from .metrics import Metrics, episode_metrics
 from .navigation_graph import NavigationGraph
+from .sound_field import SoundField
 from .sounds import SoundBank
 from .vector import AudioNavVectorEnv
 from .views import bake_views
@@ -21,11 +18,6 @@ from .views import bake_views
 __all__ = [
     "AudioNavEnv",
     "AudioNavVectorEnv",
-    "ContinuousEpisode",
-    "ContinuousNavEnv",
-    "ContinuousNavVectorEnv",
-    "ContinuousOracle",
-    "DirectionFollower",
     "EarFollower",
     "Episode",
     "Forward",
@@ -36,10 +28,8 @@ __all__ = [
     "Oracle",
     "Random",
     "Result",
-    "Rules",
     "SoundBank",
     "SoundField",
-    "SoundSource",
     "bake_sound",
     "bake_views",
     "depth_views",

@@ -1,7 +1,7 @@
 """Gymnasium environments: an agent hears, sees depth, moves on the navigation graph and stops at the sound.
 
-`SoundSpaces/AudioGoal-v0`, `SoundSpaces/AudioPointGoal-v0`, `SoundSpaces/PointGoal-v0`, and of `nav.continuous`
-`SoundSpaces/AudioGoalContinuous-v0`; importing `soundspaces_sim.nav` registers them.
+`SoundSpaces/AudioGoal-v0`, `SoundSpaces/AudioPointGoal-v0`, `SoundSpaces/PointGoal-v0`; importing
+`soundspaces_sim.nav` registers them. `SoundSpaces/AudioGoalContinuous-v0` is of neighbours/continuous.
 """
 
 from __future__ import annotations
@@ -48,13 +48,6 @@ def register_environments() -> None:
                 vector_entry_point="soundspaces_sim.nav.vector:AudioNavVectorEnv",
                 kwargs={"task": task},
             )
-    name = f"{PREFIX}/AudioGoalContinuous-v0"
-    if name not in gymnasium.registry:
-        gymnasium.register(
-            name,
-            entry_point="soundspaces_sim.nav.continuous.env:ContinuousNavEnv",
-            vector_entry_point="soundspaces_sim.nav.continuous.env:ContinuousNavVectorEnv",
-        )
 
 
 class Setting:

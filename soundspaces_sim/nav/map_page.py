@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.reader import RirDataset, open_dataset
 from soundspaces_sim.layout.records import storeys_of
 from soundspaces_sim.nav.agents import Observation
-from soundspaces_sim.nav.continuous.state import ContinuousState
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.navigation_graph import HEADINGS
 
@@ -26,7 +26,7 @@ from matplotlib.figure import Figure  # noqa: E402
 from soundspaces_sim.viz.field import Field, band_field, draw_field  # noqa: E402
 
 _DPI = 80
-_AGENT, _TRAIL, _SOURCE = "#000000", "#009E73", "#E69F00"
+_AGENT, _TRAIL = "#000000", "#009E73"
 
 
 def goal_field(ds: RirDataset, goal: int) -> Field:
@@ -76,7 +76,6 @@ class MapPage:
             artist.remove()
         (self._way,) = self.map.plot([], [], color=_TRAIL, lw=2.0, zorder=8)
         (self._agent,) = self.map.plot([], [], color=_AGENT, ms=13, ls="", mec="white", zorder=10)
-        (self._sources,) = self.map.plot([], [], "*", color=_SOURCE, ms=13, ls="", mec="black", zorder=9)
         self.map.set_title("action", fontsize=9)
         for _ in range(
             2
@@ -89,24 +88,17 @@ class MapPage:
     ) -> np.ndarray:
         """(height, width, 3) uint8."""
         places = self.ds.points[[s >> 2 for s in trail], :2]
-        return self._draw(state, places, HEADINGS[trail[-1] & 3], observation)
+        return self.draw_at(state, places, HEADINGS[trail[-1] & 3], observation)
 
-    def draw_continuous(
-        self, state: ContinuousState, trail: Sequence[tuple[float, float, float]]
-    ) -> np.ndarray:
-        """(height, width, 3) uint8. `trail`: (x, y, facing) of each step. Stars: where the goals are now."""
-        now = [state.world.source_at(goal, state.time).position[:2] for goal in state.episode.goals]
-        self._sources.set_data(*np.array(now).T)
-        return self._draw(state, np.array(trail)[:, :2], state.heading, None)
-
-    def _draw(
+    def draw_at(
         self,
-        state: EpisodeState | ContinuousState,
+        state: Any,
         places: np.ndarray,
         heading: float,
         observation: Observation | None,
     ) -> np.ndarray:
-        """`places` (n, 2) m of the way, `heading` in degrees at its end."""
+        """(height, width, 3) uint8 of a state on the graph or elsewhere: `places` (n, 2) m of its way, `heading` in
+        degrees at the end."""
         self._way.set_data(*places.T)
         self._agent.set_data(places[-1:, 0], places[-1:, 1])
         self._agent.set_marker((3, 0, round(heading) - 90))
@@ -151,11 +143,3 @@ def _page(path: Path, goal: int) -> MapPage:
 def map_frame(ds: RirDataset, state: EpisodeState, trail: Sequence[int]) -> np.ndarray:
     """(height, width, 3) uint8: the map of a walk that is under way."""
     return _page(ds.path, state.episode.goal).draw(state, trail)
-
-
-def continuous_map_frame(
-    ds: RirDataset, state: ContinuousState, trail: Sequence[tuple[float, float, float]]
-) -> np.ndarray:
-    """(height, width, 3) uint8: the map of a walk in continuous space, with the level of the first goal's sound
-    from where it began."""
-    return _page(ds.path, state.episode.goals[0].route[0]).draw_continuous(state, trail)

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import soundspaces_continuous as continuous
 from soundspaces_agents.hrtf_delays import without_delays, write_hrtf
 from soundspaces_agents.learn.cues import BANDS, CUES, LAGS, ear_cues
+from soundspaces_continuous.task import ContinuousOptions
 
 import soundspaces_sim.nav as nav
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.continuous.task import ContinuousOptions
 from soundspaces_sim.rendering.hrtf import load_hrtf, onset_delays
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
 
@@ -58,7 +59,7 @@ def test_dagger_goes_on_to_the_bit(data: nav.NavData, tmp_path: Path) -> None:
     options = ContinuousOptions(
         data=data,
         scenes=SCENES,
-        rules=nav.Rules(min_distance=2.0, places=3),
+        rules=continuous.Rules(min_distance=2.0, places=3),
         sensors=SENSORS,
         max_steps=6,
     )
@@ -75,7 +76,9 @@ def test_dagger_goes_on_to_the_bit(data: nav.NavData, tmp_path: Path) -> None:
     whole, halted = (load_policy(tmp_path / name) for name in ("whole", "halted"))
     for a, b in zip(whole.state_dict().values(), halted.state_dict().values(), strict=True):
         assert bool((a == b).all())
-    env = nav.ContinuousNavEnv(data, scenes=SCENES, rules=options.rules, sensors=SENSORS, max_steps=6)
+    env = continuous.ContinuousNavEnv(
+        data, scenes=SCENES, rules=options.rules, sensors=SENSORS, max_steps=6
+    )
     env.reset(seed=1)
     assert env.state is not None
     result = nav.evaluate(ContinuousAgent(whole, "agent", 16000), env, [env.state.episode])
@@ -84,8 +87,8 @@ def test_dagger_goes_on_to_the_bit(data: nav.NavData, tmp_path: Path) -> None:
 
 def test_places(data: nav.NavData) -> None:
     """Sounds stand at so many nodes of a scene, the same in all episodes."""
-    env = nav.ContinuousNavEnv(
-        data, scenes=SCENES, rules=nav.Rules(min_distance=1.0, places=2), sensors=("pose",)
+    env = continuous.ContinuousNavEnv(
+        data, scenes=SCENES, rules=continuous.Rules(min_distance=1.0, places=2), sensors=("pose",)
     )
     found: dict[str, set[int]] = {}
     for seed in range(12):
@@ -95,4 +98,4 @@ def test_places(data: nav.NavData) -> None:
         found.setdefault(episode.scene, set()).add(episode.goals[0].route[0])
     assert found and all(len(points) <= 2 for points in found.values())
     with pytest.raises(ConfigError, match="places"):
-        nav.Rules(goals=2, places=1)
+        continuous.Rules(goals=2, places=1)

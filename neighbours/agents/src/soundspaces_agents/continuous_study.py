@@ -15,27 +15,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from soundspaces_continuous import (
+    ContinuousEpisode,
+    ContinuousNavEnv,
+    ContinuousOptions,
+    ContinuousOracle,
+    DirectionFollower,
+    Rules,
+    draw_episode,
+)
 
 from soundspaces_agents.hrtf_delays import without_delays, write_hrtf
 from soundspaces_agents.learn.continuous_dagger import DaggerConfig, load_policy, train_continuous
 from soundspaces_agents.learn.continuous_policy import SENSORS, ContinuousAgent
-from soundspaces_sim.nav import (
-    ContinuousEpisode,
-    ContinuousNavEnv,
-    ContinuousOracle,
-    DirectionFollower,
-    NavData,
-    Result,
-    Rules,
-    SoundBank,
-    evaluate,
-)
-from soundspaces_sim.parts import (
-    ContinuousOptions,
-    PathsName,
-    draw_episode,
-    load_result,
-)
+from soundspaces_sim.nav import NavData, Result, SoundBank, evaluate
+from soundspaces_sim.parts import PathsName, load_result
 from soundspaces_sim.parts import merge_results as merge
 from soundspaces_sim.rendering import load_hrtf
 

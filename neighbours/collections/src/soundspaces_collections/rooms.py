@@ -129,6 +129,6 @@ def compared(kind: str, times: Mapping[str, np.ndarray]) -> str:
     least, most = min(r[0] for r in ranges), max(r[1] for r in ranges)
     within = 100.0 * np.mean((some >= least) & (some <= most))
     return text + (
-        f"Published ([sources](../../docs/scenes.md#generated-buildings)): {least:g} to {most:g} s; {within:.0f} % of "
-        f"them are within that, {100.0 * np.mean(some > most):.0f} % above."
+        f"Published ([sources](../../docs/scenes.md#generated-buildings)): {least:g} to {most:g} s; "
+        f"{within:.0f} % of them are within that, {100.0 * np.mean(some > most):.0f} % above."
     )

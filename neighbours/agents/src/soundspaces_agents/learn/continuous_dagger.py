@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from soundspaces_continuous import ContinuousOptions, ContinuousSetting, ContinuousState
 from torch import nn
 
 from soundspaces_agents.learn.checkpoint import load
 from soundspaces_agents.learn.continuous_policy import INPUTS, ContinuousPolicy, draw, inputs_of
 from soundspaces_agents.learn.run_files import CURVE, NAME, read_curve
 from soundspaces_sim import ConfigError
-from soundspaces_sim.parts import ContinuousOptions, ContinuousSetting, ContinuousState
 from soundspaces_sim.parts import publish_file as publish
 
 _PADDED = -100  # `cross_entropy` skips it

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import torch
+from soundspaces_continuous import ContinuousState
 from torch import Tensor, nn
 
 from soundspaces_agents.learn.cues import CUES, ear_cues
 from soundspaces_agents.learn.net import ACTIONS, MOVES
 from soundspaces_sim import ConfigError
-from soundspaces_sim.parts import STOP, ContinuousState
+from soundspaces_sim.parts import STOP
 
 INPUTS = CUES + 5 + MOVES
 SENSORS = ("audiogoal", "pose", "collision")

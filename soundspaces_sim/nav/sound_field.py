@@ -36,7 +36,7 @@ from soundspaces_sim.echogram.echogram import (
 )
 from soundspaces_sim.echogram.filters import air_left
 from soundspaces_sim.nav.cache import BlockCache
-from soundspaces_sim.nav.continuous.moved_paths import (
+from soundspaces_sim.nav.moved_paths import (
     DIRECT,
     THROUGH_WALLS,
     Moved,

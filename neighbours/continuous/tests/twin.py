@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 import scipy.signal
+from soundspaces_continuous.env import ContinuousNavEnv
+from soundspaces_continuous.episodes import ContinuousEpisode, SoundSource
 
 from soundspaces_sim.echogram.echogram import without_arrivals
-from soundspaces_sim.nav.continuous.env import ContinuousNavEnv
-from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, SoundSource
 from soundspaces_sim.rendering.ambisonics import add_arrivals
 from soundspaces_sim.rendering.binaural import binaural_rirs
 

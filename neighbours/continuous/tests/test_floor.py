@@ -6,16 +6,16 @@ import math
 
 import numpy as np
 import pytest
+from soundspaces_continuous.obstacles import make_obstacles, move_disc
+from soundspaces_continuous.world import Floor
 
+from neighbours.continuous.tests.twin import contact, walk
 from soundspaces_sim.core.config import GraphConfig
 from soundspaces_sim.core.errors import PointError
-from soundspaces_sim.nav.continuous.obstacles import make_obstacles, move_disc
-from soundspaces_sim.nav.continuous.world import Floor
 from soundspaces_sim.scene.generate.demo import Box, boxes_mesh
 from soundspaces_sim.scene.scene import Scene
 from tests.marks import CI_SLOW
 from tests.nav.conftest import LADDER, lattice_scene
-from tests.nav.continuous_twin import contact, walk
 from tests.rooms import table
 
 SKIN = 2e-6

@@ -9,18 +9,19 @@ from typing import Any, cast
 import gymnasium
 import numpy as np
 import pytest
+import soundspaces_continuous as continuous
 from gymnasium.utils.env_checker import check_env
+from soundspaces_continuous.agents import EAR_S, direction_of, interaural_delay
+from soundspaces_continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
+from soundspaces_continuous.map_page import _page
+from soundspaces_continuous.savnce import savnce_options, savnce_own_sensors
+from soundspaces_continuous.sensor_suite import interaural
 
 import soundspaces_sim.nav as nav
+from neighbours.continuous.tests.twin import BLOCK, RATE, Twin, below
 from soundspaces_sim.core.errors import ConfigError, EpisodeError, PointError
-from soundspaces_sim.nav.continuous.agents import EAR_S, direction_of, interaural_delay
-from soundspaces_sim.nav.continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
-from soundspaces_sim.nav.continuous.savnce import savnce_options, savnce_own_sensors
-from soundspaces_sim.nav.continuous.sensor_suite import interaural
-from soundspaces_sim.nav.map_page import _page
 from tests.marks import ci_slow
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
-from tests.nav.continuous_twin import BLOCK, RATE, Twin, below
 
 SCENES = {"ladder": lattice_scene(LADDER, "ladder"), "tee": lattice_scene(T_CORRIDOR, "tee")}
 NEAR_M = 0.5  # 23 samples at 16 kHz: half a windowed sinc (16 samples) and what ear filters are ahead
@@ -28,19 +29,27 @@ HEARD = ("audiogoal", "pose", "collision")
 
 
 def make(data: Any, **options: Any) -> ContinuousNavEnv:
-    given: dict[str, Any] = {"scenes": SCENES, "sensors": HEARD, "rules": nav.Rules(min_distance=2.0)}
+    given: dict[str, Any] = {
+        "scenes": SCENES,
+        "sensors": HEARD,
+        "rules": continuous.Rules(min_distance=2.0),
+    }
     return ContinuousNavEnv(data, **{**given, **options})
 
 
 def replay(data: Any, first: int, episodes: int, steps: int, paths: str = "moved") -> int:
     """Walk episodes beside the twin; the number of steps compared."""
-    rules = nav.Rules(1, 1, 2.0, (0.0, 0.6), (0.7, 2.0), 1.0)
+    rules = continuous.Rules(1, 1, 2.0, (0.0, 0.6), (0.7, 2.0), 1.0)
     compared = 0
     for k in range(first, first + episodes):
         rng = np.random.default_rng(k)
         slide = bool(k % 2)
         env = make(
-            data, rules=rules if k % 3 else nav.Rules(2, 0, 2.0), sounds="test", slide=slide, paths=paths
+            data,
+            rules=rules if k % 3 else continuous.Rules(2, 0, 2.0),
+            sounds="test",
+            slide=slide,
+            paths=paths,
         )
         observation, info = env.reset(seed=k)
         assert env.state is not None
@@ -96,14 +105,14 @@ def test_gymnasiums_rules(data: nav.NavData) -> None:
                "pointgoal_with_gps_compass")  # fmt: skip
     env = gymnasium.make(
         "SoundSpaces/AudioGoalContinuous-v0", data=data, scenes=SCENES, sensors=sensors, depth_size=16,
-        rules=nav.Rules(min_distance=2.0), gps_sigma=0.5, noises=("fan_0",), disable_env_checker=True,
+        rules=continuous.Rules(min_distance=2.0), gps_sigma=0.5, noises=("fan_0",), disable_env_checker=True,
     )  # fmt: skip
     check_env(env.unwrapped)
 
 
 def test_vector_agrees_to_the_bit(data: nav.NavData) -> None:
     options: dict[str, Any] = {
-        "scenes": SCENES, "sensors": HEARD, "rules": nav.Rules(min_distance=2.0), "max_steps": 5,
+        "scenes": SCENES, "sensors": HEARD, "rules": continuous.Rules(min_distance=2.0), "max_steps": 5,
     }  # fmt: skip
     many = ContinuousNavVectorEnv(2, data, **options)
     ones = [ContinuousNavEnv(data, **options) for _ in range(2)]
@@ -124,16 +133,18 @@ def test_vector_agrees_to_the_bit(data: nav.NavData) -> None:
                 over[i] = a or b
 
 
-def episode(**changes: Any) -> nav.ContinuousEpisode:
+def episode(**changes: Any) -> continuous.ContinuousEpisode:
     """In the ladder: from the lower corridor's first cell to the last one's, 5 m away in sight."""
     given: dict[str, Any] = {
         "episode_id": "own", "scene": "ladder", "start": (0.5, 0.5, 0.0), "heading": 0.0,
-        "goals": (nav.SoundSource("telephone", (5,)),), "distance": 5.0, "actions": 18,
+        "goals": (continuous.SoundSource("telephone", (5,)),), "distance": 5.0, "actions": 18,
     }  # fmt: skip
-    return nav.ContinuousEpisode(**{**given, **changes})
+    return continuous.ContinuousEpisode(**{**given, **changes})
 
 
-def walk(env: ContinuousNavEnv, what: nav.ContinuousEpisode, steps: int) -> tuple[float, dict[str, Any]]:
+def walk(
+    env: ContinuousNavEnv, what: continuous.ContinuousEpisode, steps: int
+) -> tuple[float, dict[str, Any]]:
     """Straight on, then STOP: the sum of rewards, and `info`."""
     env.reset(seed=0, options={"episode": what})
     total = 0.0
@@ -155,23 +166,25 @@ def test_measures_by_hand(data: nav.NavData) -> None:
     # A path of 4.25 m for a distance of 2: one that the episode states
     assert walk(env, episode(distance=2.0), 17)[1]["spl"] == pytest.approx(2.0 / 4.25)
     # silent from step 8 on; step 18 is the STOP. Offsets are rounded down to steps.
-    short = (nav.SoundSource("telephone", (5,), 0.0, 2.2),)
+    short = (continuous.SoundSource("telephone", (5,), 0.0, 2.2),)
     assert walk(env, episode(goals=short), 17)[1]["success_when_silent"] == 1.0
-    long = (nav.SoundSource("telephone", (5,), 0.0, 4.75),)
+    long = (continuous.SoundSource("telephone", (5,), 0.0, 4.75),)
     assert walk(env, episode(goals=long), 17)[1]["success_when_silent"] == 0.0
     # A distractor in the fourth cell, 0.25 m beyond which 13 steps end
-    misled = episode(distractors=(nav.SoundSource("telephone", (3,)),))
+    misled = episode(distractors=(continuous.SoundSource("telephone", (3,)),))
     _, info = walk(env, misled, 13)
     assert info["distractor_success"] == 1.0 and info["success"] == 0.0
     assert walk(env, misled, 17)[1]["distractor_success"] == 0.0
     # The nearest of several goals counts
-    several = episode(goals=(nav.SoundSource("telephone", (5,)), nav.SoundSource("fan_0", (2,))))
+    several = episode(
+        goals=(continuous.SoundSource("telephone", (5,)), continuous.SoundSource("fan_0", (2,)))
+    )
     assert walk(env, several, 8)[1]["success"] == 1.0
 
 
 def test_sounds_begin_and_end(data: nav.NavData) -> None:
     env = make(data)
-    goal = (nav.SoundSource("telephone", (5,), 0.5, 1.0),)
+    goal = (continuous.SoundSource("telephone", (5,), 0.5, 1.0),)
     heard = [env.reset(seed=0, options={"episode": episode(goals=goal)})[0]["audiogoal"]]
     silent = [env.state.silent]  # type: ignore[union-attr]
     for _ in range(7):
@@ -189,7 +202,7 @@ def test_sounds_begin_and_end(data: nav.NavData) -> None:
 def test_a_moving_goal_comes_nearer(data: nav.NavData) -> None:
     """At 2 m/s along the corridor towards an agent at rest: after 1.5 s 3 m nearer."""
     env = make(data)
-    goal = (nav.SoundSource("telephone", (5, 4, 3, 2, 1, 0), speed=2.0),)
+    goal = (continuous.SoundSource("telephone", (5, 4, 3, 2, 1, 0), speed=2.0),)
     env.reset(seed=0, options={"episode": episode(goals=goal)})
     for _ in range(6):
         env.step(2)
@@ -205,7 +218,7 @@ def test_a_moving_goal_comes_nearer(data: nav.NavData) -> None:
 
 def test_noise_has_its_level(data: nav.NavData) -> None:
     env = make(data, noises=("fan_0",), noise_db=20.0)
-    goal = (nav.SoundSource("telephone", (5,), 100.0),)
+    goal = (continuous.SoundSource("telephone", (5,), 100.0),)
     env.reset(seed=0, options={"episode": episode(goals=goal, noise="fan_0")})
     heard = np.concatenate([env.step(2)[0]["audiogoal"] for _ in range(4)], axis=1)  # a clip
     rms = np.sqrt((heard.astype(float) ** 2).mean(axis=1))
@@ -214,12 +227,12 @@ def test_noise_has_its_level(data: nav.NavData) -> None:
 
 
 def test_the_oracle_arrives(data: nav.NavData) -> None:
-    result = nav.evaluate(nav.ContinuousOracle(), make(data), drawn(data, 8))
+    result = nav.evaluate(continuous.ContinuousOracle(), make(data), drawn(data, 8))
     rows = result.rows
     assert rows["success"].min() == 1.0 and rows["spl"].min() > 0.97 and rows["sna"].min() == 1.0
 
 
-def drawn(data: nav.NavData, count: int) -> list[nav.ContinuousEpisode]:
+def drawn(data: nav.NavData, count: int) -> list[continuous.ContinuousEpisode]:
     env, found = make(data), []
     for k in range(count):
         env.reset(seed=k)
@@ -283,13 +296,13 @@ def test_bad_input(data: nav.NavData) -> None:
         ({"duration": (math.nan, 1.0)}, "duration"),
     ):
         with pytest.raises(ConfigError, match=text):
-            nav.Rules(**rules)
+            continuous.Rules(**rules)
     env = make(data)
     for changes, kind, text in (
         ({"start": (0.05, 0.5, 0.0)}, PointError, "cannot stand"),
         ({"start": (2.5, 1.5, 0.0)}, PointError, "cannot stand"),
-        ({"goals": (nav.SoundSource("telephone", (99,)),)}, EpisodeError, "point 99"),
-        ({"goals": (nav.SoundSource("nothing", (1,)),)}, ConfigError, "sound 'nothing'"),
+        ({"goals": (continuous.SoundSource("telephone", (99,)),)}, EpisodeError, "point 99"),
+        ({"goals": (continuous.SoundSource("nothing", (1,)),)}, ConfigError, "sound 'nothing'"),
     ):
         with pytest.raises(kind, match=text):
             env.reset(options={"episode": episode(**changes)})
@@ -299,7 +312,7 @@ def test_bad_input(data: nav.NavData) -> None:
     bad: tuple[dict[str, Any], ...] = ({"onset": 2.0, "offset": 1.0}, {"speed": math.inf}, {"route": ()})
     for source in bad:
         with pytest.raises(EpisodeError):
-            nav.SoundSource(**{"sound": "telephone", "route": (1,), **source})
+            continuous.SoundSource(**{"sound": "telephone", "route": (1,), **source})
     with pytest.raises(gymnasium.error.ResetNeeded):
         make(data).step(1)
     env.reset(seed=0)

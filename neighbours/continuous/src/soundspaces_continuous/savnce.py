@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.keywords import nearest
-from soundspaces_sim.nav.continuous.episodes import Rules
-from soundspaces_sim.nav.sensor_table import POINTGOAL
+from soundspaces_continuous.episodes import Rules
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import POINTGOAL
+from soundspaces_sim.parts import nearest_name as nearest
 
 #: Sensors of its files, and ours; None: what `savnce_own_sensors` names.
 SENSORS: Mapping[str, str | None] = {

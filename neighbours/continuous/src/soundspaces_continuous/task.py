@@ -8,16 +8,13 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.keywords import check_keywords, nearest
-from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, Rules
-from soundspaces_sim.nav.continuous.sound_field import PathsName
-from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.sensor_table import POINTGOAL
-from soundspaces_sim.nav.sounds import DEFAULT, SoundBank
-from soundspaces_sim.nav.task import as_sensors
-from soundspaces_sim.nav.views import check_size
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_continuous.episodes import ContinuousEpisode, Rules
+from soundspaces_sim import ConfigError, Scene
+from soundspaces_sim.nav import NavData, SoundBank
+from soundspaces_sim.parts import DEFAULT_SOUND as DEFAULT
+from soundspaces_sim.parts import POINTGOAL, PathsName, as_sensors, check_keywords
+from soundspaces_sim.parts import check_picture_size as check_size
+from soundspaces_sim.parts import nearest_name as nearest
 
 _N_FFT, _HOP_S = 512, 0.01
 _FARTHEST = 1000.0  # m

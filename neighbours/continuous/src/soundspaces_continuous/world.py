@@ -7,27 +7,22 @@ from functools import lru_cache
 
 import numpy as np
 
-from soundspaces_sim.core.config import GraphConfig
-from soundspaces_sim.core.errors import EpisodeError, PointError
-from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.nav.cache import BlockCache
-from soundspaces_sim.nav.continuous.distances import CELL, DistanceField, Lattice, fill_distances
-from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, SoundSource
-from soundspaces_sim.nav.continuous.obstacles import (
-    SKIN,
-    are_free,
-    least_clearances,
-    make_obstacles,
-    move_disc,
+from soundspaces_continuous.distances import CELL, DistanceField, Lattice, fill_distances
+from soundspaces_continuous.episodes import ContinuousEpisode, SoundSource
+from soundspaces_continuous.obstacles import SKIN, are_free, least_clearances, make_obstacles, move_disc
+from soundspaces_continuous.step_renderer import StepRenderer
+from soundspaces_continuous.task import ContinuousOptions
+from soundspaces_sim import GraphConfig, PointError, RirDataset, Scene
+from soundspaces_sim.nav import NavigationGraph, SoundField
+from soundspaces_sim.parts import (
+    BlockCache,
+    EpisodeError,
+    Geometry,
+    Place,
+    cast_ray,
+    check_scene,
+    kernel,
 )
-from soundspaces_sim.nav.continuous.sound_field import Place, SoundField
-from soundspaces_sim.nav.continuous.step_renderer import StepRenderer
-from soundspaces_sim.nav.continuous.task import ContinuousOptions
-from soundspaces_sim.nav.depth.draw import check_scene
-from soundspaces_sim.nav.navigation_graph import NavigationGraph
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
-from soundspaces_sim.scene.scene import Scene
 
 
 class Floor:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import scipy.fft
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.continuous.state import ContinuousState
-from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
+from soundspaces_continuous.state import ContinuousState
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import FORWARD, LEFT, RIGHT, STOP
 
 Observation = dict[str, np.ndarray]
 EAR_S = 0.0875 / 343.0  # radius of a head over the speed of sound

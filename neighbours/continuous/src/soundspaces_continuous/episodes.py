@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from soundspaces_sim.core.errors import ConfigError, EpisodeError
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import EpisodeError
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 import scipy.fft
 
-from soundspaces_sim.nav.cache import BlockCache
+from soundspaces_sim.parts import BlockCache
 
 _KEPT = BlockCache(50_000_000)
 

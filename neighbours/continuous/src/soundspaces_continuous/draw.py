@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from soundspaces_sim.core.errors import EpisodeError
-from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, Rules, SoundSource
-from soundspaces_sim.nav.continuous.state import ContinuousState
-from soundspaces_sim.nav.continuous.world import ContinuousWorld
-from soundspaces_sim.nav.navigation_graph import NavigationGraph
+from soundspaces_continuous.episodes import ContinuousEpisode, Rules, SoundSource
+from soundspaces_continuous.state import ContinuousState
+from soundspaces_continuous.world import ContinuousWorld
+from soundspaces_sim.nav import NavigationGraph
+from soundspaces_sim.parts import EpisodeError
 
 _TRIES = 2000
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from soundspaces_sim.core.errors import EpisodeError
-from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode, SoundSource
-from soundspaces_sim.nav.continuous.sound_field import Place
-from soundspaces_sim.nav.continuous.task import ContinuousOptions
-from soundspaces_sim.nav.continuous.world import ContinuousWorld
-from soundspaces_sim.nav.metrics import Metrics, episode_metrics
-from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
-from soundspaces_sim.nav.task import SLACK, SUCCESS
+from soundspaces_continuous.episodes import ContinuousEpisode, SoundSource
+from soundspaces_continuous.task import ContinuousOptions
+from soundspaces_continuous.world import ContinuousWorld
+from soundspaces_sim.nav import Metrics, episode_metrics
+from soundspaces_sim.parts import FORWARD, LEFT, RIGHT, STOP, EpisodeError, Place
+from soundspaces_sim.parts import SLACK_REWARD as SLACK
+from soundspaces_sim.parts import SUCCESS_REWARD as SUCCESS
 
 
 @dataclass(frozen=True)

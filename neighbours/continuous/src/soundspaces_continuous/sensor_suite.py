@@ -8,19 +8,17 @@ import numpy as np
 import scipy.fft
 import scipy.signal
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.nav.audio_sensor import RMS_AT_1_M, intensity
-from soundspaces_sim.nav.cache import BlockCache
-from soundspaces_sim.nav.continuous.signals import SourceSignal
-from soundspaces_sim.nav.continuous.state import ContinuousState, sounding_steps
-from soundspaces_sim.nav.continuous.step_renderer import Sounding, StepRenderer
-from soundspaces_sim.nav.continuous.task import CONTINUOUS_SENSORS, ContinuousOptions
-from soundspaces_sim.nav.continuous.world import ContinuousWorld
-from soundspaces_sim.nav.depth.draw import depth_views
-from soundspaces_sim.nav.sensor_table import POINTGOAL
-from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.views import CAMERA_HEIGHT, drawn_size, normalise, shrink
-from soundspaces_sim.rendering.auralise import spectrogram
+from soundspaces_continuous.signals import SourceSignal
+from soundspaces_continuous.state import ContinuousState, sounding_steps
+from soundspaces_continuous.step_renderer import Sounding, StepRenderer
+from soundspaces_continuous.task import CONTINUOUS_SENSORS, ContinuousOptions
+from soundspaces_continuous.world import ContinuousWorld
+from soundspaces_sim import ConfigError, spectrogram
+from soundspaces_sim.nav import SoundBank, depth_views
+from soundspaces_sim.parts import CAMERA_HEIGHT, POINTGOAL, RMS_AT_1_M, BlockCache, drawn_size
+from soundspaces_sim.parts import normalise_depth as normalise
+from soundspaces_sim.parts import shrink_views as shrink
+from soundspaces_sim.parts import sound_intensity as intensity
 
 _FOREVER = 2**62  # samples
 _N_FFT, _MOST_RATIO, _LEAST = 512, 4.0, 1e-8

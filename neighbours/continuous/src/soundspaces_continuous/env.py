@@ -8,26 +8,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.nav.continuous.draw import draw_episode
-from soundspaces_sim.nav.continuous.episodes import ContinuousEpisode
-from soundspaces_sim.nav.continuous.sensor_suite import ContinuousSensorSuite
-from soundspaces_sim.nav.continuous.state import CONTINUOUS_NAMES, ContinuousState
-from soundspaces_sim.nav.continuous.task import CONTINUOUS_SENSORS, ContinuousOptions, continuous_options
-from soundspaces_sim.nav.continuous.world import ContinuousWorld
-from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.depth.draw import scene_of_dataset
-from soundspaces_sim.nav.env import (
-    AudioNavEnv,
-    box,
+from soundspaces_continuous.draw import draw_episode
+from soundspaces_continuous.episodes import ContinuousEpisode
+from soundspaces_continuous.sensor_suite import ContinuousSensorSuite
+from soundspaces_continuous.state import CONTINUOUS_NAMES, ContinuousState
+from soundspaces_continuous.task import CONTINUOUS_SENSORS, ContinuousOptions, continuous_options
+from soundspaces_continuous.world import ContinuousWorld
+from soundspaces_sim import RirDataset
+from soundspaces_sim.nav import AudioNavEnv, AudioNavVectorEnv, NavData
+from soundspaces_sim.parts import (
     check_rates,
     open_sounds,
-    spaces,
+    scene_of_dataset,
     state_info,
     wanted_episode,
 )
-from soundspaces_sim.nav.vector import AudioNavVectorEnv
+from soundspaces_sim.parts import (
+    sensor_box as box,
+)
 
 
 class ContinuousSetting:
@@ -101,9 +101,9 @@ class ContinuousNavEnv(AudioNavEnv):
         return ContinuousSetting(continuous_options("ContinuousNavEnv", data, options))
 
     def _draw(self, dataset: RirDataset, state: Any) -> np.ndarray:
-        from soundspaces_sim.nav.map_page import continuous_map_frame  # matplotlib
+        from soundspaces_continuous.map_page import map_frame  # matplotlib
 
-        return continuous_map_frame(dataset, state, self.trail)
+        return map_frame(dataset, state, self.trail)
 
     def _info(self, state: Any) -> dict[str, Any]:
         return _info(state)

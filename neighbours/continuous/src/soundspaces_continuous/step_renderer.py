@@ -23,16 +23,21 @@ from typing import NamedTuple
 import numpy as np
 import scipy.fft
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.axes import spherical_harmonics
-from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.echogram.echogram import Echogram, without_arrivals
-from soundspaces_sim.echogram.filters import air_spectrum, arrival_filters
-from soundspaces_sim.nav.cache import BlockCache, LastUsed
-from soundspaces_sim.nav.continuous.signals import SourceSignal
-from soundspaces_sim.nav.continuous.sound_field import Place, SoundField
-from soundspaces_sim.rendering.binaural import binaural_rirs
-from soundspaces_sim.rendering.decoder import decoder_filters
+from soundspaces_continuous.signals import SourceSignal
+from soundspaces_sim import ConfigError, Echogram, binaural_rirs
+from soundspaces_sim.nav import SoundField
+from soundspaces_sim.parts import (
+    BlockCache,
+    LastUsed,
+    Place,
+    air_spectrum,
+    arrival_filters,
+    decoder_filters,
+    kernel,
+    spherical_harmonics,
+    without_arrivals,
+)
+from soundspaces_sim.parts import kernel_part as part
 
 HEADINGS = 5  # of kept reverberation, and harmonics of the heading: 2 N + 1 for order N = 2
 #: Of each ambisonic channel: where its cosine goes among the harmonics of the heading; the channel of the same

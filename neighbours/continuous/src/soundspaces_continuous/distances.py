@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.nav.continuous.obstacles import Obstacles, first_contact
+from soundspaces_continuous.obstacles import Obstacles, first_contact
+from soundspaces_sim.parts import kernel
+from soundspaces_sim.parts import kernel_part as part
 
 CELL = 0.05  # m
 _SEARCH = 3  # cells around a place in which its roots are looked for
