@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,6 +36,7 @@ from gymnasium import spaces as spaces  # noqa: E402
 from gymnasium.error import InvalidAction, ResetNeeded  # noqa: E402
 
 PREFIX = "SoundSpaces"
+GROUP = "soundspaces_sim.environments"  # of entry points: functions by which neighbours register theirs
 
 
 def register_environments() -> None:
@@ -48,6 +50,8 @@ def register_environments() -> None:
                 vector_entry_point="soundspaces_sim.nav.vector:AudioNavVectorEnv",
                 kwargs={"task": task},
             )
+    for found in entry_points(group=GROUP):
+        found.load()()
 
 
 class Setting:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -15,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 import soundspaces_sim as ss
 from soundspaces_sim.nav.agents import EarFollower, Forward, GoalFollower, Oracle, Random
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.env import AudioNavEnv
+from soundspaces_sim.nav.env import AudioNavEnv, register_environments
 from soundspaces_sim.nav.episodes import make_episode
 from soundspaces_sim.nav.evaluate import evaluate
 from soundspaces_sim.nav.generate import make_episodes
@@ -323,3 +325,15 @@ def test_intervals_and_differences() -> None:
     split["scene"][200:], split["spl"] = "b", np.repeat([0.0, 1.0], 200)
     wide = Result("w", split).summary()["spl"]
     assert (wide.low, wide.high) == pytest.approx((0.5 - 0.5 * 12.706, 0.5 + 0.5 * 12.706), abs=1e-3)
+
+
+def test_a_neighbours_environment_is_registered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By an entry point of its distribution."""
+    folder = tmp_path / "some_world-1.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: some-world\nVersion: 1\n")
+    (folder / "entry_points.txt").write_text("[soundspaces_sim.environments]\nw = some_world:tell\n")
+    (tmp_path / "some_world.py").write_text("told = []\ndef tell() -> None:\n    told.append(1)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    register_environments()
+    assert sys.modules.pop("some_world").told == [1]

@@ -3,7 +3,7 @@
     import gymnasium, soundspaces_continuous
     env = gymnasium.make("SoundSpaces/AudioGoalContinuous-v0", data="out")
 
-Importing this package registers the environment; where it is installed Gymnasium does so itself.
+Importing this package registers the environment, and so does `soundspaces_sim.nav` where it is installed.
 """
 
 import lazy_loader
