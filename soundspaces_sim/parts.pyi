@@ -367,12 +367,29 @@ from .scene.enclosure import (
 from .scene.formats.limits import (
     check_ply,
     open_mesh,
+    parse_xml,
+    ply_header,
+)
+from .scene.formats.limits import (
+    unpacked as unpacked_archive,
 )
 from .scene.formats.matterport import (
     find_matterport,
 )
+from .scene.formats.octave_material import (
+    OCTAVES as MATERIAL_OCTAVES,
+)
+from .scene.formats.octave_material import (
+    SCATTERING as MATERIAL_SCATTERING,
+)
+from .scene.formats.octave_material import (
+    octave_material,
+)
 from .scene.formats.ply import (
     Elements as PlyElements,
+)
+from .scene.formats.ply import (
+    Lists as PlyLists,
 )
 from .scene.formats.ply import (
     read_labelled_ply,
@@ -394,6 +411,7 @@ from .scene.generate.demo import (
 )
 from .scene.labelled import (
     LabelledMesh,
+    SceneFormat,
 )
 from .scene.materials import (
     FREE,
@@ -491,6 +509,8 @@ __all__ = [
     "LONGEST_RESPONSE",
     "MAKER",
     "MANIFEST_NAME",
+    "MATERIAL_OCTAVES",
+    "MATERIAL_SCATTERING",
     "MEASURES",
     "MOST_BANDS",
     "MOST_DB",
@@ -531,11 +551,13 @@ __all__ = [
     "PathsName",
     "Place",
     "PlyElements",
+    "PlyLists",
     "PreparedScene",
     "ProfileOption",
     "Read",
     "RendererOption",
     "ReplaceOption",
+    "SceneFormat",
     "SensorSuite",
     "SimulatedPaths",
     "SpecularPlanes",
@@ -629,6 +651,7 @@ __all__ = [
     "nominal",
     "normalise_depth",
     "number_text",
+    "octave_material",
     "octaves_below",
     "open_found",
     "open_hdf5",
@@ -639,8 +662,10 @@ __all__ = [
     "overlay_tables",
     "packaged_file",
     "pair_seed",
+    "parse_xml",
     "place_responses",
     "plain_dataset",
+    "ply_header",
     "png",
     "point_keys",
     "pointgoal_reading",
@@ -681,6 +706,7 @@ __all__ = [
     "takes_scene",
     "thread_count",
     "unique_rows",
+    "unpacked_archive",
     "unpacked_episodes",
     "variety",
     "walk_straight",

@@ -34,6 +34,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
+_PATH = [str(ROOT), str(ROOT / "neighbours" / "room_programs" / "src")]
 OUTCOMES = ("own", "same", "other", "foreign", "slow", "silent")
 SLOW = 5.0  # s of CPU, of one try
 _HANGS = 30.0  # s, after which the child is ended
@@ -108,7 +109,7 @@ def run(
     while True:
         done = subprocess.run(
             [sys.executable, "-m", "tests.attack.harness", "child", str(folder)],
-            cwd=ROOT, capture_output=True, text=True,
+            cwd=ROOT, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(_PATH)},
         )  # fmt: skip
         counts = np.load(path)
         if done.returncode == 0:

@@ -15,8 +15,14 @@ import h5py
 import networkx
 import numpy as np
 import trimesh
+from soundspaces_room_programs.catt import read_catt
+from soundspaces_room_programs.gmsh import read_gmsh
+from soundspaces_room_programs.isimpa import read_project
+from soundspaces_room_programs.odeon import read_odeon
 
 import soundspaces_sim as ss
+from neighbours.room_programs.tests.test_isimpa import project
+from neighbours.room_programs.tests.test_room_programs import catt, gmsh, odeon
 from soundspaces_sim.build.job_file import NAME, _read, open_job
 from soundspaces_sim.dataset.exporters.plan import choose_pairs
 from soundspaces_sim.dataset.exporters.points import read_graph, read_points
@@ -24,6 +30,7 @@ from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import _ZEROS, _tail
 from soundspaces_sim.rendering.directivity import _load
 from soundspaces_sim.rendering.hrtf import load_hrtf
+from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.labels import load_labels
 from soundspaces_sim.scene.materials import load_materials
 from tests.attack.old_layout import old_layout
@@ -31,8 +38,6 @@ from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
 from tests.scene.test_habitat_layouts import gibson, hm3d
-from tests.scene.test_isimpa import project
-from tests.scene.test_room_programs import catt, gmsh, odeon
 
 
 @dataclass(frozen=True)
@@ -234,6 +239,14 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
 
         out[name] = Victim(victim, read)
 
+    def room_program(name: str, victim: Path, reader: Callable[[str], LabelledMesh]) -> None:
+        def read() -> bytes:
+            found = reader(str(victim))
+            assert np.isfinite(found.vertices).all()
+            return _arrays(found.vertices, found.faces, found.face_label)
+
+        out[name] = Victim(victim, read)
+
     replica = _replica(folder / "replica", True)
     for end in ("mesh_semantic.ply", "info_semantic.json"):
         scene(f"replica-{end[-4:].strip('.')}", replica / "habitat" / end, replica)
@@ -265,11 +278,10 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
         [f"v {x} {y} {z}\n" for x, y, z in room.vertices] + [f"usemtl m{i}\nf {a + 1} {b + 1} {c + 1}\n" for i, (a, b, c) in enumerate(room.faces)]
     ))  # fmt: skip
     scene("obj-named", named, named)
-    for write in (catt, odeon, gmsh):
-        model = write(folder / f"{write.__name__}.{'par' if write is odeon else 'geo'}")
-        scene(write.__name__, model, model)
-    model = project(folder / "room.proj")
-    scene("isimpa-project", model, model)
+    room_program("catt", catt(folder / "catt.geo"), read_catt)
+    room_program("odeon", odeon(folder / "odeon.par"), read_odeon)
+    room_program("gmsh", gmsh(folder / "gmsh.geo"), read_gmsh)
+    room_program("isimpa-project", project(folder / "room.proj"), read_project)
     if find_spec("ifcopenshell") is not None:
         model = _ifc(folder / "house.ifc")
         scene("ifc", model, model)

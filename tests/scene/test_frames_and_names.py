@@ -256,11 +256,7 @@ def test_the_registry_lists_what_it_reads() -> None:
         "gibson",
         "ifc",
         "dae",
-        "isimpa",
-        "isimpa-project",
-        "gmsh",
-        "catt",
-        "odeon",
+        "room-programs",
         "obj",
         "mesh",
     ]
@@ -268,6 +264,17 @@ def test_the_registry_lists_what_it_reads() -> None:
         ss.SceneError, match=r"unknown scene 'x'.*'demo'.*Replica.*Matterport3D.*IFC.*COLLADA"
     ):
         ss.load_scene("x")
+
+
+@pytest.mark.parametrize("name", ["hall.geo", "hall.par", "hall.proj", "hall.ply"])
+def test_files_of_room_programs_are_refused_without_their_reader(tmp_path: Path, name: str) -> None:
+    layers = (
+        "ply\nformat ascii 1.0\nelement vertex 0\nelement layer 1\nproperty uchar a\nend_header\n1\n"
+    )
+    (tmp_path / name).write_text(layers)
+    with pytest.raises(ss.SceneError, match="neighbours/room_programs"):
+        FORMATS["room-programs"].read(str(tmp_path / name))
+    assert FORMATS["room-programs"].detects(str(tmp_path / name))
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import soundspaces_choras as choras
 
+from neighbours.room_programs.tests.test_room_programs import SIZE, gmsh
 from soundspaces_sim.scene.build import WALLS
-from tests.scene.test_room_programs import SIZE, gmsh
 
 OCTAVES = [125, 250, 500, 1000]
 

@@ -1,4 +1,4 @@
-"""Scene formats: a new one is a file here and a line in the table.
+"""Scene formats: a new one is a file here and a line in the table, or an entry point of a distribution of its own.
 
 Each file has a `FORMAT`, or two, whose `read` gives a mesh in the file's own frame, with what the file says of axis
 and unit; `scene.frame` turns it into the scene's frame.
@@ -7,25 +7,25 @@ and unit; `scene.frame` turns it into the scene's frame.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import entry_points
 
 from soundspaces_sim.scene.formats import (
-    catt,
     dae,
     gibson,
-    gmsh,
     hm3d,
     ifc,
-    isimpa,
     matterport,
     mesh,
     obj,
-    odeon,
     replica,
+    room_programs,
 )
 from soundspaces_sim.scene.generate import demo
 from soundspaces_sim.scene.generate.buildings import registry
 from soundspaces_sim.scene.labelled import SceneFormat
 
+GROUP = "soundspaces_sim.scene_formats"  # of entry points; each is a `SceneFormat`
 #: By name, in the order in which they are tried.
 FORMATS: Mapping[str, SceneFormat] = {
     "demo": demo.FORMAT,
@@ -36,21 +36,23 @@ FORMATS: Mapping[str, SceneFormat] = {
     "gibson": gibson.FORMAT,
     "ifc": ifc.FORMAT,
     "dae": dae.FORMAT,
-    "isimpa": isimpa.FORMAT,
-    "isimpa-project": isimpa.PROJECT,
-    "gmsh": gmsh.FORMAT,  # before catt, whose files have the same suffix
-    "catt": catt.FORMAT,
-    "odeon": odeon.FORMAT,
+    "room-programs": room_programs.FORMAT,
     "obj": obj.FORMAT,
     "mesh": mesh.FORMAT,
 }
 
 
+@cache
+def neighbours() -> tuple[SceneFormat, ...]:
+    """Formats of distributions of their own, which are tried before the table's."""
+    return tuple(found.load() for found in entry_points(group=GROUP))
+
+
 def find_format(source: str) -> SceneFormat | None:
     """The first format that detects a name or path, or None."""
-    return next((f for f in FORMATS.values() if f.detects(source)), None)
+    return next((f for f in (*neighbours(), *FORMATS.values()) if f.detects(source)), None)
 
 
 def accepted() -> str:
     """What can be read, for messages and help."""
-    return "; ".join(f.accepts for f in FORMATS.values())
+    return "; ".join(f.accepts for f in (*FORMATS.values(), *neighbours()))

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from soundspaces_room_programs.isimpa import read_project
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.formats.isimpa import read_project
 from soundspaces_sim.scene.formats.limits import check_3mf
 from tests.rooms import box, table
 

@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.materials import MaterialTable
-from soundspaces_sim.scene.polygons import MOST_CORNERS, triangulate
+from soundspaces_room_programs.polygons import MOST_CORNERS, triangulate
+from soundspaces_sim import MaterialTable, SceneError
+from soundspaces_sim.parts import LabelledMesh
 
 # Cutting polygons takes a time that grows with the squares of their corners: so many of these are cut, and so many
 # more for each byte of the file.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim import SceneError
 
 MOST_CORNERS = 256  # of a polygon: ears are looked for in the square of their number
 

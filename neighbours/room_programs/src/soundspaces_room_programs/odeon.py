@@ -14,10 +14,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.formats.limits import open_mesh
-from soundspaces_sim.scene.formats.polygon_mesh import Polygon, mesh_of_polygons, read_text_model
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_room_programs.polygon_mesh import Polygon, mesh_of_polygons, read_text_model
+from soundspaces_sim import SceneError
+from soundspaces_sim.parts import LabelledMesh, SceneFormat, open_mesh
 
 _UNITS = {
     "metres": 1.0, "meters": 1.0, "m": 1.0, "centimetres": 0.01, "centimeters": 0.01, "cm": 0.01,

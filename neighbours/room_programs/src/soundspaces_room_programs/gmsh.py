@@ -12,10 +12,9 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.formats.limits import open_mesh
-from soundspaces_sim.scene.formats.polygon_mesh import Polygon, mesh_of_polygons, read_text_model
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_room_programs.polygon_mesh import Polygon, mesh_of_polygons, read_text_model
+from soundspaces_sim import SceneError
+from soundspaces_sim.parts import LabelledMesh, SceneFormat, open_mesh
 
 _HEAD = 65_536  # bytes in which a model shows that it is Gmsh's
 _OWN = re.compile(rb"^[ \t]*Point[ \t]*\(", re.MULTILINE)
@@ -137,7 +136,7 @@ def _whole(where: str, words: list[str]) -> list[int]:
     return [int(w) for w in words]
 
 
-def _detects(source: str) -> bool:
+def is_gmsh(source: str) -> bool:
     path = Path(source)
     if path.suffix.lower() != ".geo" or not path.is_file():
         return False
@@ -145,4 +144,4 @@ def _detects(source: str) -> bool:
         return _OWN.search(file.read(_HEAD)) is not None
 
 
-FORMAT = SceneFormat("a .geo file of Gmsh", _detects, read_gmsh)
+FORMAT = SceneFormat("a .geo file of Gmsh", is_gmsh, read_gmsh)

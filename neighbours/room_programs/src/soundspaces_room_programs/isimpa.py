@@ -9,11 +9,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from soundspaces_sim.core.errors import MaterialError, SceneError
-from soundspaces_sim.scene.formats.limits import open_mesh, parse_xml, ply_header, unpacked
-from soundspaces_sim.scene.formats.ply import Elements, Lists, read_labelled_ply
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
-from soundspaces_sim.scene.materials import MaterialTable
+from soundspaces_sim import MaterialError, MaterialTable, SceneError
+from soundspaces_sim.parts import (
+    LabelledMesh,
+    SceneFormat,
+    open_mesh,
+    parse_xml,
+    ply_header,
+    read_labelled_ply,
+)
+from soundspaces_sim.parts import PlyElements as Elements
+from soundspaces_sim.parts import PlyLists as Lists
+from soundspaces_sim.parts import unpacked_archive as unpacked
 
 # I-Simpa's projects (.proj): its mesh, its groups of surfaces, and the materials that were made in it.
 #

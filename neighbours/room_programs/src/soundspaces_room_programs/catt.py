@@ -12,13 +12,13 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.formats.limits import open_mesh
-from soundspaces_sim.scene.formats.octave_material import OCTAVES, SCATTERING, octave_material
-from soundspaces_sim.scene.formats.polygon_mesh import Polygon, mesh_of_polygons, read_text_model
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
-from soundspaces_sim.scene.materials import MaterialTable
-from soundspaces_sim.scene.polygons import MOST_CORNERS
+from soundspaces_room_programs.gmsh import is_gmsh
+from soundspaces_room_programs.polygon_mesh import Polygon, mesh_of_polygons, read_text_model
+from soundspaces_room_programs.polygons import MOST_CORNERS
+from soundspaces_sim import MaterialTable, SceneError
+from soundspaces_sim.parts import MATERIAL_OCTAVES as OCTAVES
+from soundspaces_sim.parts import MATERIAL_SCATTERING as SCATTERING
+from soundspaces_sim.parts import LabelledMesh, SceneFormat, octave_material, open_mesh
 
 _MOST_MATERIALS, _LONGEST = 1000, 10_000  # characters of a plane
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -137,6 +137,8 @@ def _percent(where: str, text: str) -> list[float]:
 
 FORMAT = SceneFormat(
     "a .geo file of CATT-Acoustic",
-    lambda source: Path(source).suffix.lower() == ".geo" and Path(source).is_file(),
+    lambda source: (
+        Path(source).suffix.lower() == ".geo" and Path(source).is_file() and not is_gmsh(source)
+    ),
     read_catt,
 )
