@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from soundspaces_collections.axonometric import write_gallery
 from soundspaces_collections.rooms import histogram, middle
 
 import soundspaces_sim as ss
@@ -24,7 +25,6 @@ from soundspaces_sim.scene.enclosure import closedness
 from soundspaces_sim.scene.generate.buildings.registry import building_rooms
 from soundspaces_sim.scene.generate.buildings.shell import Room
 from soundspaces_sim.scene.generate.buildings.walkway import inside
-from soundspaces_sim.viz.axonometric import write_gallery
 
 _OUT = Path(__file__).parent / "figures" / "generated_reverberation.png"
 _BUILDINGS = _OUT.with_name("generated_buildings.png")

@@ -3,9 +3,6 @@
 from .build.engines import (
     ENGINES,
 )
-from .build.engines.local import (
-    worker_pool,
-)
 from .build.forecast import (
     forecast,
 )
@@ -125,6 +122,9 @@ from .core.numerics.rng import (
 )
 from .core.numerics.rows import (
     unique_rows,
+)
+from .core.processes import (
+    worker_pool,
 )
 from .core.registry import (
     Entry as TableEntry,
@@ -469,11 +469,6 @@ from .transport.preparation import (
 from .transport.simulate import (
     simulate_pairs,
 )
-from .viz.axonometric import (
-    above_picture,
-    inside_picture,
-    write_small,
-)
 from .viz.html_page import (
     write_page,
 )
@@ -565,7 +560,6 @@ __all__ = [
     "TaskName",
     "WarmUp",
     "WaveField",
-    "above_picture",
     "absorption_shares",
     "air_spectrum",
     "air_transmission",
@@ -627,7 +621,6 @@ __all__ = [
     "heading_index",
     "in_our_words",
     "in_processes",
-    "inside_picture",
     "inside_polygon",
     "install_hint",
     "kernel",
@@ -716,6 +709,5 @@ __all__ = [
     "worker_pool",
     "write_collection",
     "write_page",
-    "write_small",
     "write_splits",
 ]

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from soundspaces_sim.build.cores import use_cores
-from soundspaces_sim.build.engines.local import start_worker, worker_pool
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import PointError, SimulationError, SoundSpacesSimError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.core.processes import start_worker, worker_pool
 from soundspaces_sim.core.simulation_config import of_simulation
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Points

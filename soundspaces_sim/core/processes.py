@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from soundspaces_sim.core.platforms import process_runs
 
@@ -15,6 +17,9 @@ def is_running(process: int) -> bool:
     """Whether a process of this machine exists and has not ended; a zombie has ended."""
     return process_runs(process)
 
+
+if TYPE_CHECKING:
+    from loky.process_executor import ProcessPoolExecutor
 
 _SAFE_PATH = "PYTHONSAFEPATH"
 _lock = threading.Lock()
@@ -56,3 +61,25 @@ def _watch(parent: int) -> None:
     while os.getppid() == parent if own else is_running(parent):
         time.sleep(_EVERY_S)
     os._exit(1)  # nothing is left to clean up for: files are whole or absent
+
+
+def start_worker(parent: int) -> None:
+    """Of a worker process of the process `parent`."""
+    end_with(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends it
+
+
+@contextmanager
+def worker_pool(
+    processes: int, start: Callable[[int], None] = start_worker
+) -> Iterator[ProcessPoolExecutor]:
+    """Processes of this machine, which import nothing from the current folder and end with this one; `start` is
+    called in each with this process's number."""
+    from loky.process_executor import ProcessPoolExecutor
+
+    with isolated_children():
+        pool = ProcessPoolExecutor(processes, initializer=start, initargs=(os.getpid(),))
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=True, kill_workers=True)

@@ -33,7 +33,7 @@ child.stdout.readline()
 child.kill()
 """,
     "processes of a job, of rooms and of agents": """
-from soundspaces_sim.build.engines.local import worker_pool
+from soundspaces_sim.core.processes import worker_pool
 with worker_pool(2) as pool:
     assert list(pool.map(len, ["a", "bb", "ccc"])) == [1, 2, 3]
 """,

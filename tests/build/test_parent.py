@@ -32,7 +32,7 @@ local._run_processes([Task(Path(sys.argv[1]), k) for k in range(2)], Shape(2, 1)
 _STEPS = """
 import os, sys, time
 from pathlib import Path
-from soundspaces_sim.build.engines.local import worker_pool
+from soundspaces_sim.core.processes import worker_pool
 
 def sleep(number):
     Path(sys.argv[1], f"{os.getpid()}").touch()

@@ -7,15 +7,10 @@ that is killed (out of memory, `kill -9`) costs the tiles that were in work: the
 from __future__ import annotations
 
 import logging
-import os
-import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-
-from loky.process_executor import ProcessPoolExecutor
 
 from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
 from soundspaces_sim.build.engines.capacity import Shape, choose_shape
@@ -23,7 +18,7 @@ from soundspaces_sim.build.worker import Done, work, work_here
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.memory import free_memory
 from soundspaces_sim.core.numerics.kernel import thread_count
-from soundspaces_sim.core.processes import end_with, isolated_children
+from soundspaces_sim.core.processes import worker_pool
 from soundspaces_sim.core.profile import adopt
 
 _log = logging.getLogger(__name__)
@@ -99,26 +94,6 @@ def _run_processes(tasks: Sequence[Task], shape: Shape, watch: Watch) -> None:
                     refuse(task, f"its process was killed {_TRIES} times (out of memory?)", error)
             _log.warning("a process was killed; its tiles begin again")
             waiting += running.values()
-
-
-def start_worker(parent: int) -> None:
-    """Of a worker process of the process `parent`."""
-    end_with(parent)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends it
-
-
-@contextmanager
-def worker_pool(
-    processes: int, start: Callable[[int], None] = start_worker
-) -> Iterator[ProcessPoolExecutor]:
-    """Processes of this machine, which import nothing from the current folder and end with this one; `start` is
-    called in each with this process's number."""
-    with isolated_children():
-        pool = ProcessPoolExecutor(processes, initializer=start, initargs=(os.getpid(),))
-        try:
-            yield pool
-        finally:
-            pool.shutdown(wait=True, kill_workers=True)
 
 
 ENGINE = Engine(LocalOptions, run, remote=False)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from os import cpu_count
@@ -17,6 +18,7 @@ import numpy as np
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.core.processes import worker_pool
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, write_table
 from soundspaces_sim.dataset.room_parameters.evaluate import Bands, Pair
 from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, SUFFIXES
@@ -132,15 +134,12 @@ def evaluate(
         raise ConfigError("pairs: expected at least one pair")
     parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
     workers = min(cpu_count() or 1, len(parts))
-    pool: Executor
+    reader: Callable[[], PairOf] = partial(_same, pair_of)
+    at_work: Callable[[], AbstractContextManager[Executor]] = partial(ThreadPoolExecutor, workers)
     if opened is not None and len(pairs) >= _MANY and workers > 1:
-        from loky.process_executor import ProcessPoolExecutor
-
-        pool, reader = ProcessPoolExecutor(workers), opened
-    else:
-        pool, reader = ThreadPoolExecutor(workers), partial(_same, pair_of)
+        reader, at_work = opened, partial(worker_pool, workers)
     found: list[list[np.ndarray]] = []
-    with pool:
+    with at_work() as pool:
         for values in pool.map(partial(_of_part, reader, tuple(names)), parts):
             found.append(values)
             if progress is not None:

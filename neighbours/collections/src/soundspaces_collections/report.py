@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from soundspaces_collections.axonometric import above_picture, inside_picture, write_small
 from soundspaces_collections.make import Collection, Log, Task, make_task, split_of
 from soundspaces_collections.records import Record, add_record, edges_of, read_records
 from soundspaces_collections.rooms import compared, histogram, times_by_use
@@ -20,15 +21,12 @@ from soundspaces_sim.nav import depth_views
 from soundspaces_sim.parts import (
     HEADINGS,
     MAKER,
-    above_picture,
     in_processes,
-    inside_picture,
     make_folder,
     number_text,
     read_floorplan,
     read_manifest,
     storeys_of,
-    write_small,
 )
 from soundspaces_sim.parts import PLOT_BLUE as BLUE
 from soundspaces_sim.parts import PLOT_RED as VERMILION

@@ -12,8 +12,8 @@ import numpy as np
 import trimesh
 from matplotlib.figure import Figure
 
-from soundspaces_sim.core.io.files import publish
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim import Scene
+from soundspaces_sim.parts import publish_file as publish
 
 _PLAIN = {
     "wall": (0.88, 0.87, 0.84),

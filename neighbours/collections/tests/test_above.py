@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from soundspaces_collections.axonometric import above_picture, gallery, inside_picture
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.axonometric import above_picture, gallery, inside_picture
 
 
 def test_the_demo_from_above() -> None:
