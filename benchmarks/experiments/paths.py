@@ -33,7 +33,7 @@ from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import Left, Side, Tile, Walks
 
 WINDOWS_S = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
 BAND, POINTS, SEEDS, LENGTH_S = 2, 12, 8, 0.8
@@ -62,7 +62,10 @@ class Clocked:
     def watched(self) -> Technique:
         technique = self.technique
         return replace(
-            technique, trace=self._timed(technique.trace), connect=self._timed(technique.connect)
+            technique,
+            trace=self._timed(technique.trace),
+            connect=self._timed(technique.connect),
+            join=self._timed(technique.join),
         )
 
 
@@ -74,11 +77,13 @@ class Watched:
         self.added: np.ndarray | float = 0.0
         self.seconds = 0.0
 
-    def _trace(self, tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
+    def _trace(
+        self, tile: Tile, own: Side, other: Side, rows: slice, tables: Tables, left: Left
+    ) -> None:
         before = tables.arrive[..., 0, BAND].copy(), tables.leave[..., 0, BAND].copy()
         start = time.process_time()
         assert self.technique.trace is not None
-        self.technique.trace(tile, own, other, rows, tables)
+        self.technique.trace(tile, own, other, rows, tables, left)
         self.seconds += time.process_time() - start
         added = np.zeros((POINTS, POINTS, before[0].shape[2]))
         added[rows] += tables.arrive[..., 0, BAND] - before[0]
@@ -93,11 +98,19 @@ class Watched:
         self.added = self.added + (tile.to_b[..., 0, BAND] - before)
         return found
 
+    def _join(self, tile: Tile, of_a: Walks, of_b: Walks) -> None:
+        before, start = tile.to_b[..., 0, BAND].copy(), time.process_time()
+        assert self.technique.join is not None
+        self.technique.join(tile, of_a, of_b)
+        self.seconds += time.process_time() - start
+        self.added = self.added + (tile.to_b[..., 0, BAND] - before)
+
     def watched(self) -> Technique:
         return replace(
             self.technique,
             trace=self._trace if self.technique.trace else None,
             connect=self._connect if self.technique.connect else None,
+            join=self._join if self.technique.join else None,
         )
 
 

@@ -114,11 +114,11 @@ def gradient_of(
     bands, bins = model.world.air.shape[1], len(model.time_edges) - 1
     check_memory(8.0 * len(a) * len(b) * 2 * batch_rows(model) * bins * bands, "counts in every bin")
     apart = [t for t in techniques if t is RADIANCE_TRANSFER and model.world.settings.radiance_transfer]
-    tile = run_techniques(
+    tile, walks = run_techniques(
         model, a, b, both_ways=False, techniques=[t for t in techniques if t not in apart]
     )
     counted, counts, scores = tile.to_b[:, :, :, 0].astype(float), _counts(tile), _scores(tile)
-    connect_all(tile, apart)
+    connect_all(tile, apart, walks)
     echoes = traced(model, tile, a, b, both_ways=False).forward
     given = weights(echoes) if callable(weights) else weights
     weight, expected = np.asarray(given, float), (*echoes.shape, bins, bands)
@@ -132,7 +132,9 @@ def gradient_of(
     by_log = np.einsum("sltb,sltmb->mb", weight * counted, counts) + arrivals
     by_scattering = np.einsum("sltb,sltmb->mb", weight * counted, scores)
     if apart:
-        for sums, more in zip((by_log, by_scattering), weighted_derivatives(tile, weight), strict=True):
+        for sums, more in zip(
+            (by_log, by_scattering), weighted_derivatives(tile, *walks, weight), strict=True
+        ):
             sums += more
     by_absorption = -by_log / (1.0 - groups.absorption - groups.transmission)
     if unknown is None:

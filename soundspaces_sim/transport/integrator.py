@@ -26,7 +26,17 @@ from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.technique import Technique, check_requirements
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.tile import Side, Tile, batch_rows, empty_table, make_side, make_tile
+from soundspaces_sim.transport.tile import (
+    Left,
+    Side,
+    Tile,
+    Walks,
+    batch_rows,
+    empty_table,
+    make_side,
+    make_tile,
+)
+from soundspaces_sim.transport.walks import make_left, make_walks
 
 Progress = Callable[[int], None]  # points traced
 _UNLIKELY = 3.0  # standard errors by which estimates of either end may lie off their mean
@@ -60,7 +70,7 @@ def trace_tile(
     kept: KeptTraces | None = None,
 ) -> Traced:
     """What `simulate_tile` smooths. `kept`: of this model, what is traced for several tiles."""
-    tile = run_techniques(model, a, b, both_ways, progress, techniques, kept)
+    tile, _ = run_techniques(model, a, b, both_ways, progress, techniques, kept)
     count(pairs=len(tile.pairs))
     return traced(model, tile, a, b, both_ways)
 
@@ -110,34 +120,39 @@ def run_techniques(
     progress: Progress | None = None,
     techniques: Sequence[Technique] = TECHNIQUES,
     kept: KeptTraces | None = None,
-) -> Tile:
-    """A tile with what techniques bring to it; as for `trace_tile`."""
+) -> tuple[Tile, tuple[Walks, Walks]]:
+    """A tile with what techniques bring to it, and the walks of its sides; as for `trace_tile`."""
     check_requirements(techniques)
     make = partial(make_side, model) if kept is None else kept.side
     with stage("detectors and tables"):
         side_a = make(a)
         side_b = side_a if b is None else make(b)
         tile = make_tile(model, side_a, side_b, both_ways)
-    _trace(tile, techniques, progress, kept)
-    connect_all(tile, techniques)
+    walks = _trace(tile, techniques, progress, kept)
+    connect_all(tile, techniques, walks)
     if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
         i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
         tile.to_a[j, i] = tile.to_b[i, j]
     if tile.same:  # each pair was closed once: mirror its batches
         lower = np.tri(len(a), k=-1, dtype=bool)
         tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
-    return tile
+    return tile, walks
 
 
-def connect_all(tile: Tile, techniques: Sequence[Technique]) -> None:
-    """What techniques make pair by pair, into a tile."""
+def connect_all(
+    tile: Tile, techniques: Sequence[Technique], walks: tuple[Walks, Walks] | None = None
+) -> None:
+    """What techniques make pair by pair, into a tile; of `walks` of its sides, if there were any."""
     for technique in techniques:
-        if technique.connect is None:
+        if technique.connect is None and technique.join is None:
             continue
         with stage(technique.name):
-            if (found := technique.connect(tile)) is not None:
+            if technique.connect is not None and (found := technique.connect(tile)) is not None:
                 tile.discrete[technique.name] = found
                 count(deposits=len(found.pair))
+            if technique.join is not None:
+                assert walks is not None, f"{technique.name} joins walks"
+                technique.join(tile, *walks)
             _check(tile, technique)
 
 
@@ -146,22 +161,24 @@ def _trace(
     techniques: Sequence[Technique],
     progress: Progress | None,
     kept: KeptTraces | None,
-) -> None:
-    """Subpaths of all points into the tables: what arrives at b is a -> b, what left b for a is it as well.
+) -> tuple[Walks, Walks]:
+    """Subpaths of all points into the tables: what arrives at b is a -> b, what left b for a is it as well. Returns
+    what they leave, of a and of b.
 
     Some points at a time, into tables of their own. A pair's cell gets one addend from either end, so it does not
     matter which comes first.
     """
     back_wanted, done = not tile.same and tile.to_a.shape[2] > 0, 0
+    walks: list[Walks] = []
     for own, other in [(tile.a, tile.b)] if tile.same else [(tile.a, tile.b), (tile.b, tile.a)]:
         of_a, of_b = own is tile.a, own is tile.b
         if kept is None:
-            traced = _trace_rows(
-                tile, techniques, (of_a or back_wanted, of_b or back_wanted), own, other
-            )
+            left, wanted = make_left(own), (of_a or back_wanted, of_b or back_wanted)
+            traced = _trace_rows(tile, techniques, wanted, own, other, left)
+            walks_of = partial(make_walks, own, left)
         else:
             trace = partial(_trace_rows, tile, techniques, (True, True))
-            traced = kept.rows(own.given, other.given, trace)
+            traced, walks_of = kept.rows(own.given, other.given, trace), partial(kept.walks, own.given)
         for rows, tables in traced:
             if of_a:
                 _add(tile.to_b[rows], tables.arrive)
@@ -178,13 +195,20 @@ def _trace(
             done += rows.stop - rows.start
             if progress is not None:
                 progress(done)
+        walks.append(walks_of())
+    return walks[0], walks[-1]
 
 
 def _trace_rows(
-    tile: Tile, techniques: Sequence[Technique], wanted: tuple[bool, bool], own: Side, other: Side
+    tile: Tile,
+    techniques: Sequence[Technique],
+    wanted: tuple[bool, bool],
+    own: Side,
+    other: Side,
+    left: Left,
 ) -> Iterator[tuple[slice, Tables]]:
-    """Rows of `own` and what their subpaths leave at the points of `other`; the tables are used again. `wanted`:
-    what arrives, what leaves."""
+    """Rows of `own` and what their subpaths deposit at the points of `other`; the tables are used again. `wanted`:
+    what arrives, what leaves. `left`: what else they leave."""
     shape = len(own.ends.points), len(other.ends.points)
     chunk = len((fresh := _room(tile.model, *shape, *wanted)).batches)
     for start in range(0, shape[0], chunk):
@@ -196,7 +220,7 @@ def _trace_rows(
         for technique in techniques:
             if technique.trace is not None:
                 with stage(technique.name):
-                    technique.trace(tile, own, other, rows, tables)
+                    technique.trace(tile, own, other, rows, tables, left)
                     for table in (tables.arrive, tables.leave):
                         check_table(table, origin._replace(technique=technique.name))
         yield rows, tables

@@ -20,18 +20,17 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.transport.model import Model
-from soundspaces_sim.transport.radiance_transfer.first_reflections import FirstReflections
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import CHANNELS
-from soundspaces_sim.transport.tile import Side, batch_rows, make_side
+from soundspaces_sim.transport.tile import Left, Side, Walks, batch_rows, make_side
+from soundspaces_sim.transport.walks import make_left, make_walks
 
 MEMORY = 1e9  # bytes of tables that are kept in memory
 _SPARE = 2.0  # times what is written that must be free on the disk
 _log = logging.getLogger(__name__)
 
-TraceRows = Callable[
-    [Side, Side], Iterator[tuple[slice, Tables]]
-]  # rows of the first side, at the second
+#: Rows of the first side, at the second; what they leave.
+TraceRows = Callable[[Side, Side, Left], Iterator[tuple[slice, Tables]]]
 _Key = bytes
 
 
@@ -48,7 +47,7 @@ class KeptTraces:
         self._coming: set[frozenset[_Key]] = set()
         self._points: dict[_Key, np.ndarray] = {}
         self._sides: dict[_Key, Side] = {}
-        self._traced: set[_Key] = set()
+        self._walks: dict[_Key, Walks] = {}
         self._parts: dict[tuple[_Key, _Key], Tables] = {}
 
     def expect(self, tiles: Sequence[tuple[np.ndarray, np.ndarray | None]]) -> None:
@@ -58,7 +57,7 @@ class KeptTraces:
         self._coming = {frozenset((_key(a), _key(b))) for a, b in blocks}
         self._points = {_key(p): p for pair in blocks for p in pair}
         self._sides = {k: side for k, side in self._sides.items() if k in self._points}
-        self._traced &= self._points.keys()
+        self._walks = {k: walks for k, walks in self._walks.items() if k in self._points}
         self._parts = {k: t for k, t in self._parts.items() if frozenset(k) in self._coming}
 
     def side(self, points: np.ndarray) -> Side:
@@ -82,14 +81,18 @@ class KeptTraces:
         blocks = [other, *(self._points[k] for k in later)]
         detectors = make_side(self.model, np.concatenate(blocks)) if later else self.side(other)
         ends = np.cumsum([len(block) for block in blocks])
-        for rows, tables in trace(side, detectors):
+        left = make_left(side)
+        for rows, tables in trace(side, detectors, left):
             for k, first, last in zip(later, ends[:-1], ends[1:], strict=True):
                 for kept, table in zip(self._parts[key, k], tables, strict=True):
                     kept[rows] = table[:, first:last]
             yield rows, Tables(*(table[:, : ends[0]] for table in tables))
-        if key in self._traced:  # what is kept on the side was made the first time
-            side.once(FirstReflections.of).blocks.clear()
-        self._traced.add(key)
+        if key not in self._walks:  # the same each time that they are traced
+            self._walks[key] = make_walks(side, left)
+
+    def walks(self, own: np.ndarray) -> Walks:
+        """What subpaths of a block left, once `rows` of it were gone through."""
+        return self._walks[_key(own)]
 
     def _room_for(self, key: _Key, wanted: _Key) -> list[_Key]:
         """Blocks beside the one that is `wanted` with which a block is still to be paired, with room for them."""

@@ -1,11 +1,14 @@
 """A technique: a way of making paths, with all that it needs of a scene, a side and a tile.
 
-    prepare(scene, config)                  each made once per scene; `PreparedScene.part(prepare)` gives it
-    mark(facets, prepared, duration)        facets on which subpaths leave paths to it
-    trace(tile, own, other, rows, tables)   subpaths of some points of a side, deposited at points of the other
-    connect(tile)                           what is made pair by pair; returns its discrete paths, if any
-    settle(model, points)                   the config with what it leaves to a job of so many points decided
-    describe(model)                         a line for the log: whether it takes part, and why
+    prepare(scene, config)                each made once per scene; `PreparedScene.part(prepare)` gives it
+    mark(facets, prepared, duration)      facets on which subpaths leave paths to it
+    trace(tile, own, other, rows, tables, left)
+                                          subpaths of some points of a side: what they deposit at points of the
+                                          other goes into `tables`, what they leave for others into `left`
+    connect(tile)                         what is made of pairs of points alone; returns discrete paths, if any
+    join(tile, of_a, of_b)                what is made of pairs of walks: of what subpaths of both sides left
+    settle(model, points)                 the config with what it leaves to a job of so many points decided
+    describe(model)                       a line for the log: whether it takes part, and why
 
 `Side.once` keeps what depends on the points of a side, `Model.once` what depends on duration and seed. Every path
 is made by one technique or by several whose weights sum to one (`paths.mis`).
@@ -24,7 +27,7 @@ from soundspaces_sim.transport.model import Model, Prepare, PreparedScene
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.radiance_transfer.patches import Patches
 from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import Left, Side, Tile, Walks
 
 
 class Facets(NamedTuple):
@@ -35,8 +38,9 @@ class Facets(NamedTuple):
 
 
 Mark = Callable[[Facets, PreparedScene, float], Facets]
-Trace = Callable[[Tile, Side, Side, slice, Tables], None]
+Trace = Callable[[Tile, Side, Side, slice, Tables, Left], None]
 Connect = Callable[[Tile], PathTable | None]
+Join = Callable[[Tile, Walks, Walks], None]
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class Technique:
     mark: Mark | None = None
     trace: Trace | None = None
     connect: Connect | None = None
+    join: Join | None = None
     requires: tuple[str, ...] = ()
     deposits: bool = False
     settle: Callable[[Model, int], SimulationConfig] | None = None

@@ -14,7 +14,8 @@ from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.paths.detector import make_detectors
-from soundspaces_sim.transport.state import Ends
+from soundspaces_sim.transport.radiance_transfer.first_reflections import Reflections
+from soundspaces_sim.transport.state import Ends, ReflectionBlock, Vertices
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, count_rows
 
 
@@ -25,6 +26,30 @@ class Side(Once):
     model: Model
     given: np.ndarray  # (N, 3) m, the points in the scene's own frame
     ends: Ends
+
+
+@dataclass
+class Left:
+    """What subpaths of a side's points leave for techniques that join both sides, while they are traced.
+
+    Receiver volumes fill `vertices`, of connected subpaths, in the rows that they trace. Specular subpaths add to
+    `reflections`, the first diffuse ones of consecutive points, packed; `room` is theirs alone, for points that are
+    traced together.
+    """
+
+    vertices: Vertices
+    reflections: list[ReflectionBlock] = field(default_factory=list)
+    room: ReflectionBlock | None = None
+
+
+@dataclass(frozen=True)
+class Walks(Once):
+    """What subpaths of all points of a side have left. Techniques keep on it what they make of it
+    (`Walks.once`)."""
+
+    side: Side
+    vertices: Vertices
+    reflections: Reflections | None  # where radiance transfer takes part
 
 
 @dataclass

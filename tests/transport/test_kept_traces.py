@@ -38,9 +38,11 @@ def traced(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     calls: list[int] = []
     trace = integrator._trace_rows
 
-    def counted(tile: Any, techniques: Any, wanted: Any, own: Any, other: Any) -> Iterator[Any]:
+    def counted(
+        tile: Any, techniques: Any, wanted: Any, own: Any, other: Any, left: Any
+    ) -> Iterator[Any]:
         calls.append(len(own.ends.points))
-        return trace(tile, techniques, wanted, own, other)
+        return trace(tile, techniques, wanted, own, other, left)
 
     monkeypatch.setattr(integrator, "_trace_rows", counted)
     return calls

@@ -18,7 +18,6 @@ from soundspaces_sim.transport.bsdf.surface import evaluate, group_count, pdf, r
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import level_of
 from soundspaces_sim.transport.paths.path_state import incident_of, normal_of, sums_of
-from soundspaces_sim.transport.paths.receiver_volumes import vertices
 from soundspaces_sim.transport.paths.subpath import count_tallies
 from soundspaces_sim.transport.state import TALLY, Ends, VertexRow, Vertices, World, vertices_of
 from soundspaces_sim.transport.tables import (
@@ -32,7 +31,7 @@ from soundspaces_sim.transport.tables import (
     harmonics,
     time_bin,
 )
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Tile, Walks
 
 _CHUNK = 32  # pairs per call
 
@@ -272,7 +271,7 @@ def _connect_pairs(
         _connect_pair(world, pair, p, q, combine(combine(key_p, 1), key_q))
 
 
-def connect(tile: Tile) -> None:
+def join(tile: Tile, of_a: Walks, of_b: Walks) -> None:
     """Connect the subpaths of every pair."""
     world, pairs = tile.model.world, tile.pairs
     if world.settings.connection_length <= 0.0:
@@ -290,8 +289,8 @@ def connect(tile: Tile) -> None:
         len(pairs),
         world,
         pairs,
-        Side(tile.a.ends, tile.a.once(vertices)),
-        Side(tile.b.ends, tile.b.once(vertices)),
+        Side(tile.a.ends, of_a.vertices),
+        Side(tile.b.ends, of_b.vertices),
         Output(tile.to_b, tile.to_a, tile.batches),
         chunk=_CHUNK,
         scratch=work,

@@ -9,35 +9,17 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import over_rows
-from soundspaces_sim.transport.bsdf.scores import score_count
-from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.paths.subpath import count_tallies, make_work, trace_subpaths
-from soundspaces_sim.transport.state import VERTEX, Tables, Vertices, emitters_of
-from soundspaces_sim.transport.tables import CHANNELS
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.state import Tables, Vertices, emitters_of
+from soundspaces_sim.transport.tile import Left, Side, Tile
 
 
-def vertices(side: Side) -> Vertices:
-    """Where the connected subpaths of a side's points leave their vertices: `side.once(vertices)`."""
-    settings, bands = side.model.world.settings, side.model.world.air.shape[1]
-    depth = settings.connection_depth if settings.connection_length > 0.0 else 1
-    shape, surfaces = (len(side.ends.points), settings.connected), side.model.world.surfaces
-    return Vertices(
-        np.empty((*shape, depth), VERTEX),
-        np.empty((*shape, depth, bands)),
-        np.zeros(shape, np.int64),
-        np.empty((*shape, CHANNELS)),
-        np.empty((*shape, depth, group_count(surfaces)), np.uint16),
-        np.empty((*shape, depth, score_count(surfaces), bands)),
-    )
-
-
-def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
-    """Subpaths of `rows` of `own`, deposited at the points of `other`."""
+def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables, left: Left) -> None:
+    """Subpaths of `rows` of `own`, deposited at the points of `other`; they leave vertices."""
     world, detectors = tile.model.world, other.ends.detectors
     emitters = emitters_of(own.ends, rows)
-    left = Vertices(*(v[rows] for v in own.once(vertices)))
-    left.count[:] = 0
+    vertices = Vertices(*(v[rows] for v in left.vertices))
+    vertices.count[:] = 0
     tallies: list[np.ndarray] = []
     over_rows(
         trace_subpaths,
@@ -45,7 +27,7 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
         world,
         emitters,
         detectors,
-        left,
+        vertices,
         tables,
         chunk=1,
         scratch=lambda: make_work(world, detectors, tallies),

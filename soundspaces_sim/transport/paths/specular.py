@@ -62,7 +62,6 @@ from soundspaces_sim.transport.paths.path_state import (
 )
 from soundspaces_sim.transport.paths.subpath import count_tallies, make_scratch
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
-    FirstReflections,
     packed,
     room_for,
 )
@@ -78,7 +77,7 @@ from soundspaces_sim.transport.state import (
     emitters_of,
 )
 from soundspaces_sim.transport.tables import BATCHES, copy, copy_scores, harmonics
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import Left, Side, Tile
 
 _STREAM = 0x5BEC  # keeps these subpaths' numbers apart from those of `subpath`
 _STEP = 6.0  # m between two looks at the weights
@@ -320,8 +319,9 @@ def _make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) ->
     )
 
 
-def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> None:
-    """Specular subpaths of `rows` of `own`, deposited at the points of `other`."""
+def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables, left: Left) -> None:
+    """Specular subpaths of `rows` of `own`, deposited at the points of `other`; they leave first diffuse
+    reflections for radiance transfer."""
     world, emitters, detectors = tile.model.world, emitters_of(own.ends, rows), other.ends.detectors
     unknown = np.zeros(world.air.shape[1])
     decay = tile.model.once(late_decay).rate if world.settings.radiance_transfer else unknown
@@ -335,15 +335,14 @@ def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables) -> No
         )  # fmt: skip
         count_tallies(tallies)
 
-    first = own.once(FirstReflections.of)
-    if first.room is None or len(first.room.patch) < points:
+    if left.room is None or len(left.room.patch) < points:
         capacity = world.settings.specular * _EVENTS if world.settings.radiance_transfer else 0
-        first.room = room_for(points, capacity, world)
-    trace_into(first.room, tables)
-    most = int(first.room.upto[:points, -1].max())
-    if most > first.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
-        first.room = room_for(points, most + most // 8, world)
+        left.room = room_for(points, capacity, world)
+    trace_into(left.room, tables)
+    most = int(left.room.upto[:points, -1].max())
+    if most > left.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
+        left.room = room_for(points, most + most // 8, world)
         none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
-        trace_into(first.room, none)
+        trace_into(left.room, none)
     if world.settings.radiance_transfer:
-        first.blocks.append(packed(ReflectionBlock(*(column[:points] for column in first.room))))
+        left.reflections.append(packed(ReflectionBlock(*(column[:points] for column in left.room))))

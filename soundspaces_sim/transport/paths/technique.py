@@ -18,7 +18,7 @@ RECEIVER_VOLUMES = Technique(
 CONNECTIONS = Technique(
     "connections",
     "scattered, up to the connection window; shares them with receiver volumes",
-    connect=connections.connect,
+    join=connections.join,
     requires=("receiver_volumes",),
     deposits=True,
 )

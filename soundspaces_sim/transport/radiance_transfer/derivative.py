@@ -48,7 +48,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     set_out,
 )
 from soundspaces_sim.transport.state import World
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Tile, Walks
 
 
 class _Starts(NamedTuple):
@@ -69,15 +69,17 @@ class _Logs(NamedTuple):
 
 
 @stage("derivatives of radiance transfer")
-def weighted_derivatives(tile: Tile, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def weighted_derivatives(
+    tile: Tile, of_a: Walks, of_b: Walks, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(M, b): sums over pairs and bins of `weight` (A, B, bins, b) times the energy's derivative by ln ρ_m and,
     where surfaces have scores, by the scattering of the table; (0, b) where they have none.
 
-    Of a tile between two sides, to which radiance transfer has been added."""
+    Of a tile between two sides, to which radiance transfer has been added, and the walks of both."""
     model, plan = tile.model, make_transfer_plan(tile.model)
     groups, scored = plan.material_groups, score_count(model.world.surfaces)
     plan = plan._replace(groups=plan.groups._replace(kept=plan.groups.kept[:0]))
-    a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)
+    a, b = of_a.once(make_endpoints), of_b.once(make_endpoints)
     late = 0.5 * weight[:, :, plan.first_bin :] * plan.restore  # either way is half of a pair's energy
     late = np.moveaxis(late, 3, 0)  # (b, A, B, late bins)
     out = np.zeros((groups, plan.bands)), np.zeros((scored, plan.bands))

@@ -13,7 +13,6 @@ Source: W. G. Madow (1949), On the theory of systematic sampling, II, Annals of 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,25 +25,9 @@ from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay
 from soundspaces_sim.transport.state import ReflectionBlock, World
 from soundspaces_sim.transport.tables import BATCHES
-from soundspaces_sim.transport.tile import Side
 
 _STREAM = 0x51D1  # keeps these random numbers apart from those of the subpaths
 _LONG = 2**16  # reflections whose columns are worth a thread each
-
-
-@dataclass
-class FirstReflections:
-    """First diffuse reflections of a side's points: `side.once(FirstReflections.of)`.
-
-    `blocks`: of consecutive points, packed; `room`: for those of points that are traced together.
-    """
-
-    blocks: list[ReflectionBlock] = field(default_factory=list)
-    room: ReflectionBlock | None = None
-
-    @staticmethod
-    def of(side: Side) -> FirstReflections:  # noqa: ARG004 - none yet
-        return FirstReflections()
 
 
 class Reflections(NamedTuple):

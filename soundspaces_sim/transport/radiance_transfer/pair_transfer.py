@@ -24,10 +24,8 @@ from soundspaces_sim.transport.radiance_transfer.batch_products import (
 from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Continuations,
-    FirstReflections,
     Reflections,
     draw_continuations,
-    gather_reflections,
     patches_drawn,
     with_own_populations,
 )
@@ -52,7 +50,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     TransferSubpaths,
 )
 from soundspaces_sim.transport.tables import BATCHES
-from soundspaces_sim.transport.tile import Side
+from soundspaces_sim.transport.tile import Walks
 
 ROUNDING = 1e-5  # of the greatest value: what rounding leaves where nothing arrives
 COLUMNS = 160  # points on one side whose products with all of the other are held at once
@@ -112,12 +110,11 @@ class _Workspace(NamedTuple):
         )
 
 
-def make_endpoints(side: Side) -> Endpoints:
-    """Uses up what the side holds of first reflections: `side.once(make_endpoints)`."""
-    model, first = side.model, side.once(FirstReflections.of)
-    first.room = None
-    world, keys, decay = model.world, side.ends.keys, model.once(late_decay)
-    reflections = gather_reflections(first.blocks, decay.rate, decay.reach)
+def make_endpoints(walks: Walks) -> Endpoints:
+    """Of what the subpaths of a side have left: `walks.once(make_endpoints)`."""
+    model, reflections = walks.side.model, walks.reflections
+    assert reflections is not None  # `requires`: specular subpaths run before
+    world, keys, decay = model.world, walks.side.ends.keys, model.once(late_decay)
     count = world.settings.specular // BATCHES  # as many are carried on as there are subpaths
     if model.config.radiance_transfer.subpaths != "own":
         subpaths = model.once(transfer_subpaths)

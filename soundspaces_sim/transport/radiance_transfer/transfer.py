@@ -23,20 +23,20 @@ from soundspaces_sim.transport.radiance_transfer.batch_moments import (
 from soundspaces_sim.transport.radiance_transfer.batch_products import ProductsByBatch
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, make_endpoints, transfer
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Tile, Walks
 
 _PAIRS = 128  # for which it is worth to start a thread
 
 
-def connect(tile: Tile) -> None:
+def join(tile: Tile, of_a: Walks, of_b: Walks) -> None:
     """Add the late energy of every pair that a patch scatters."""
     model = tile.model
     if not model.world.settings.radiance_transfer:
         return
     with stage("plan"):
         plan = make_transfer_plan(model)
-    with stage("first reflections"):
-        a, b = tile.a.once(make_endpoints), tile.b.once(make_endpoints)
+    with stage("endpoints"):
+        a, b = of_a.once(make_endpoints), of_b.once(make_endpoints)
     with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape
         forward, backward, products = transfer(plan, a, b)
         with stage("directions of arrival"):
