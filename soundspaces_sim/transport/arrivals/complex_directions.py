@@ -59,11 +59,11 @@ _FRONT = math.sqrt(math.pi) * _QUARTER
 
 
 class EndTerms(NamedTuple):
-    """The four terms of D about an edge at the nodes, for waves to or from another edge: of s, then of -s."""
+    """The four terms of D about an edge at the nodes, for waves to or from another edge."""
 
-    cot_re: np.ndarray  # (2, 4, NODES)
+    cot_re: np.ndarray  # (4, NODES)
     cot_im: np.ndarray
-    root_re: np.ndarray  # (2, 4, NODES): the root of a, times sqrt(2)
+    root_re: np.ndarray  # (4, NODES): the root of a, times sqrt(2)
     root_im: np.ndarray
     spread: np.ndarray  # (4, NODES) cosh, sinh of s / 2n, re and im
     index: np.ndarray  # (1,) wedge index n of `spread`
@@ -80,7 +80,7 @@ class FieldScratch(NamedTuple):
 
 def make_end_terms() -> EndTerms:
     """Empty."""
-    return EndTerms(*np.empty((4, 2, 4, NODES)), np.empty((4, NODES)), np.zeros(1))
+    return EndTerms(*np.empty((4, 4, NODES)), np.empty((4, NODES)), np.zeros(1))
 
 
 def make_field_scratch() -> FieldScratch:
@@ -149,18 +149,16 @@ def _set_spread(n: float, out: EndTerms) -> None:
 
 
 @part(error_model="numpy")
-def _set_term(
-    of_term: tuple[float, float, float, float], turn: float, half: int, t: int, out: EndTerms
-) -> None:
+def _set_term(of_term: tuple[float, float, float, float], turn: float, t: int, out: EndTerms) -> None:
     """A term for a complex angle that grows with `turn` times js."""
     c, s, c_a, s_a = of_term
     towards = turn if t % 2 == 0 else -turn
     sign = 1.0 if c_a >= 0.0 else -1.0
     cot_re, cot_im, root_re, root_im = (
-        out.cot_re[half, t],
-        out.cot_im[half, t],
-        out.root_re[half, t],
-        out.root_im[half, t],
+        out.cot_re[t],
+        out.cot_im[t],
+        out.root_re[t],
+        out.root_im[t],
     )
     for i in range(NODES):
         cosh_re, cosh_im = out.spread[0, i], out.spread[1, i]
@@ -176,16 +174,13 @@ def _set_term(
 
 
 @part
-def set_terms(n: float, phi: float, towards: float, sense: float, even: bool, out: EndTerms) -> None:
+def set_terms(n: float, phi: float, towards: float, sense: float, out: EndTerms) -> None:
     """Terms of an end at the angle `phi` about a wedge whose other edge is at `towards`; the complex angle grows
-    with `sense` times js. `even`: only s > 0."""
+    with `sense` times js."""
     if out.index[0] != n:
         _set_spread(n, out)
     for t in range(4):
-        of_term = _trigonometry(n, phi, towards, t)
-        _set_term(of_term, sense, 0, t, out)
-        if not even:
-            _set_term(of_term, -sense, 1, t, out)
+        _set_term(_trigonometry(n, phi, towards, t), sense, t, out)
 
 
 @part
@@ -194,19 +189,18 @@ def set_field(
     r: float,
     kappa: float,
     terms: EndTerms,
-    half: int,
     count: int,
     scratch: FieldScratch,
     field: np.ndarray,
 ) -> None:
-    """D sqrt(2 pi kappa) / sqrt(r) at the first nodes, of s or of -s (`half` 0, 1), into `field` (NODES,)."""
+    """D sqrt(2 pi kappa) / sqrt(r) at the first nodes, into `field` (NODES,)."""
     size, scale = math.sqrt(2.0 * kappa * r), -_QUARTER / (2.0 * n * math.sqrt(r))
     f_re, f_im, sum_re, sum_im = scratch
     for i in range(count):
         sum_re[i] = sum_im[i] = 0.0
     for t in range(4):
-        transitions(count, size, terms.root_re[half, t], terms.root_im[half, t], f_re, f_im)
-        cot_re, cot_im = terms.cot_re[half, t], terms.cot_im[half, t]
+        transitions(count, size, terms.root_re[t], terms.root_im[t], f_re, f_im)
+        cot_re, cot_im = terms.cot_re[t], terms.cot_im[t]
         for i in range(count):
             sum_re[i] += cot_re[i] * f_re[i] - cot_im[i] * f_im[i]
             sum_im[i] += cot_re[i] * f_im[i] + cot_im[i] * f_re[i]

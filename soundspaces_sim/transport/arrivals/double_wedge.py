@@ -1,4 +1,4 @@
-"""The field that goes by one of two parallel edges and then by the other, exact in two dimensions.
+"""The field that goes by one of two parallel edges of a face and then by the other, exact in two dimensions.
 
 Between two parallel edges a wave is a spectrum of plane waves of complex directions: with s from -oo to oo,
 
@@ -7,14 +7,13 @@ Between two parallel edges a wave is a spectrum of plane waves of complex direct
 What a wedge makes of a plane wave from a complex direction is Sommerfeld's solution at that angle, so the path
 from p by the edges e and f to q brings (docs/theory.md, Two edges; `two_edges` makes it a point source's)
 
-    u = h sqrt(j kappa / 2 pi) e^(-j kappa (r_p + r_q)) / sqrt(r_p r_q)
-        * integral of D_e(phi_p, phi_f + js; r_p) D_f(phi_e ± js, phi_q; r_q) e^(-j kappa w cosh s) ds
+    u = 1/2 sqrt(j kappa / 2 pi) e^(-j kappa (r_p + r_q)) / sqrt(r_p r_q)
+        * integral of D_e(phi_p, phi_f + js; r_p) D_f(phi_e + js, phi_q; r_q) e^(-j kappa w cosh s) ds
 
-with D the coefficient of `utd` for L = r_p and L = r_q, w between the edges, and h = 1/2 where a face connects
-them: there the integrand is even, for D holds the image in the face already. As the poles of D_e and D_f at the
-shadow boundaries are in the integrand, u is continuous with the path by one edge alone, whichever of both ends
-crosses the plane of the face. Along a common face waves go to and fro between the edges; with K the response of an
-edge to a wave from the other one,
+with D the coefficient of (T30) for L = r_p and L = r_q, and w between the edges; half, as D holds the image in
+the face already, and the integrand is even. As the poles of D_e and D_f at the shadow boundaries are in the
+integrand, u is continuous with the path by one edge alone, whichever of both ends crosses the plane of the face.
+Along the face waves go to and fro between the edges; with K the response of an edge to a wave from the other one,
 
     K(t, s) = -1 / (4 pi n) sum over ±, ± of cot((pi ± (jt ± js)) / 2n),
 
@@ -107,7 +106,6 @@ class Ends(NamedTuple):
     p_f: float  # m, 0: p does not see f
     q_e: float  # m, 0: q does not see e
     w: float  # m, between the edges
-    common: bool  # a face connects them
 
 
 @part
@@ -123,7 +121,7 @@ def _active(kappa_w: float) -> int:
 @part
 def double_wedge_field(ends: Ends, kappa: float, scratch: DoubleWedgeScratch) -> complex:
     """u of the path p, e, f, q without its phase e^(-j kappa (r_p + w + r_q)), free field 1 / sqrt(r), the terms
-    being set; along a common face with all that goes to and fro and leaves by f."""
+    being set, with all that goes to and fro and leaves by f."""
     count, field, weight = _active(kappa * ends.w), scratch.field, scratch.weight
     for i in range(count):
         phase = kappa * ends.w * _RISE[i].real
@@ -131,12 +129,11 @@ def double_wedge_field(ends: Ends, kappa: float, scratch: DoubleWedgeScratch) ->
         weight[i] = math.exp(kappa * ends.w * _RISE[i].imag) * wave * WEIGHTS[i]
     scale = 1.0 / (2.0 * math.pi * kappa) * cmath.sqrt(1j * kappa / (2.0 * math.pi))
     total = 0j
-    for half in range(1 if ends.common else 2):
-        set_field(ends.n_e, ends.p_e, kappa, scratch.p_e, half, count, scratch.nodes, field[0])
-        set_field(ends.n_f, ends.q_f, kappa, scratch.q_f, half, count, scratch.nodes, field[1])
-        for i in range(count):
-            total += weight[i] * field[0, i] * field[1, i]
-    if ends.common and kappa * ends.w < _MAX_COUPLED:
+    set_field(ends.n_e, ends.p_e, kappa, scratch.p_e, count, scratch.nodes, field[0])
+    set_field(ends.n_f, ends.q_f, kappa, scratch.q_f, count, scratch.nodes, field[1])
+    for i in range(count):
+        total += weight[i] * field[0, i] * field[1, i]
+    if kappa * ends.w < _MAX_COUPLED:
         total += _to_and_fro(ends, kappa, count, scratch)
     return scale * total
 
@@ -223,7 +220,7 @@ def _to_and_fro(ends: Ends, kappa: float, count: int, scratch: DoubleWedgeScratc
     _weighted(e, count, right[1], matrix[1])
     b_e[:] = 0j
     if ends.p_f > 0.0 and ends.q_e == 0.0:
-        set_field(ends.n_f, ends.p_f, kappa, scratch.p_f, 0, count, scratch.nodes, field[2])
+        set_field(ends.n_f, ends.p_f, kappa, scratch.p_f, count, scratch.nodes, field[2])
         _project(count, right[0], field[2], b_e)
         b_e *= cmath.exp(-1j * kappa * (ends.p_f - ends.p_e))
     for r in range(_RANK):
@@ -239,7 +236,7 @@ def _to_and_fro(ends: Ends, kappa: float, count: int, scratch: DoubleWedgeScratc
         for r in range(_RANK):
             for t in range(_RANK):
                 b_f[r] += matrix[1, r, t] * c[t]
-        set_field(ends.n_e, ends.q_e, kappa, scratch.q_e, 0, count, scratch.nodes, field[3])
+        set_field(ends.n_e, ends.q_e, kappa, scratch.q_e, count, scratch.nodes, field[3])
         phase = cmath.exp(-1j * kappa * (ends.q_e - ends.q_f))
         total += phase * _leaving(f, count, weight, b_f, field[3])
     return total / across

@@ -68,7 +68,6 @@ class TwoEdgePath(NamedTuple):
     phi_f: float  # of the apex on f about e
     phi_e: float  # of the apex on e about f
     phi_q: float  # of q about f
-    common: bool  # a face connects both edges
     lit_p: bool  # p is in the light of f, past e
     lit_q: bool  # q is in the light of e, past f
     taper: float  # of the energy: 1 where both apexes are on their edges, down to 0 beyond their ends
@@ -95,7 +94,7 @@ def _off_boundary(phi: float, towards: float, open_to: bool) -> tuple[bool, floa
 @part(forceinline=True)
 def _no_path(e: int, f: int, p: Vec3, q: Vec3) -> TwoEdgePath:
     x = math.nan
-    return TwoEdgePath(e, f, p, q, x, x, p, q, x, x, x, x, x, x, x, x, x, False, False, False, 0.0)
+    return TwoEdgePath(e, f, p, q, x, x, p, q, x, x, x, x, x, x, x, x, x, False, False, 0.0)
 
 
 @part(forceinline=True)
@@ -227,7 +226,6 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
     inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= MIN_RADIUS
     p_open = wedge_coordinates(wedges, f, p).phi <= sector_f
     q_open = wedge_coordinates(wedges, e, q).phi <= sector_e
-    common = on_faces((phi_f, phi_e), (sector_e, sector_f))
     lit_p, phi_p = _off_boundary(p_e.phi, phi_f, p_open)
     lit_q, phi_q = _off_boundary(q_f.phi, phi_e, q_open)
     return inside, TwoEdgePath(
@@ -248,7 +246,6 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
         phi_f=phi_f,
         phi_e=phi_e,
         phi_q=phi_q,
-        common=common,
         lit_p=lit_p,
         lit_q=lit_q,
         taper=taper,
@@ -351,11 +348,11 @@ def estimate(wedges: Wedges, x: TwoEdgePath, k: float) -> float:
 
 @part
 def _across(wedges: Wedges, x: TwoEdgePath) -> Ends:
-    """The path across parallel edges. Only along a common face it matters which other edge an end sees."""
+    """The path across parallel edges."""
     p_f = line_coordinates(wedges, x.f, x.p)[1] if x.lit_p else 0.0
     q_e = line_coordinates(wedges, x.e, x.q)[1] if x.lit_q else 0.0
     w = line_coordinates(wedges, x.e, x.at_f)[1]
-    return Ends(wedges.n[x.e], wedges.n[x.f], x.r_p, x.r_q, p_f, q_e, w, x.common)
+    return Ends(wedges.n[x.e], wedges.n[x.f], x.r_p, x.r_q, p_f, q_e, w)
 
 
 @part(forceinline=True)
@@ -369,16 +366,14 @@ def _set_ends(wedges: Wedges, x: TwoEdgePath, ends: Ends, scratch: DoubleWedgeSc
     """The terms of both ends about both edges."""
     axis = row(wedges.along, x.e)
     sense_e, sense_f = sense_of(wedges, x.e, axis), sense_of(wedges, x.f, axis)
-    set_terms(ends.n_e, x.phi_p, x.phi_f, sense_e, x.common, scratch.p_e)
-    set_terms(ends.n_f, x.phi_q, x.phi_e, sense_f, x.common, scratch.q_f)
-    if not x.common:
-        return
+    set_terms(ends.n_e, x.phi_p, x.phi_f, sense_e, scratch.p_e)
+    set_terms(ends.n_f, x.phi_q, x.phi_e, sense_f, scratch.q_f)
     if ends.p_f > 0.0 and ends.q_e == 0.0:
         phi = wedge_coordinates(wedges, x.f, x.p).phi
-        set_terms(ends.n_f, phi, x.phi_e, sense_f, True, scratch.p_f)
+        set_terms(ends.n_f, phi, x.phi_e, sense_f, scratch.p_f)
     if ends.q_e > 0.0:
         phi = wedge_coordinates(wedges, x.e, x.q).phi
-        set_terms(ends.n_e, phi, x.phi_f, sense_e, True, scratch.q_e)
+        set_terms(ends.n_e, phi, x.phi_f, sense_e, scratch.q_e)
 
 
 @part
@@ -404,4 +399,4 @@ def _product_field(wedges: Wedges, x: TwoEdgePath, k: float) -> complex:
         legs_e, legs_f, scale = (x.d_p, x.d_ef), (x.d_p + x.d_ef, x.d_q), x.d_p + x.d_ef
     first = _coefficient(wedges.n[x.e], about_e, legs_e, x.r_p / x.d_p, k)
     second = _coefficient(wedges.n[x.f], about_f, legs_f, x.r_q / x.d_q, k)
-    return (0.5 if x.common else 1.0) * scale * first * second
+    return 0.5 * scale * first * second

@@ -521,11 +521,11 @@ def _multiply(
     if scratch.unit[n] == 2:
         f, sine, axis = scratch.edge[n + 1], scratch.sine[n], row(wedges.along, e)
         w = scratch.leg[n + 1] * sine
-        ends = Ends(wedges.n[e], wedges.n[f], before * sine, after * sine, 0.0, 0.0, w, True)
+        ends = Ends(wedges.n[e], wedges.n[f], before * sine, after * sine, 0.0, 0.0, w)
         first = angle[n, 0] if n == 0 else _beyond(angle[n, 0], angle[n, 1])
         last = angle[n + 1, 1] if n + 2 == count else _beyond(angle[n + 1, 1], angle[n + 1, 0])
-        set_terms(wedges.n[e], first, angle[n, 1], sense_of(wedges, e, axis), True, double.p_e)
-        set_terms(wedges.n[f], last, angle[n + 1, 0], sense_of(wedges, f, axis), True, double.q_f)
+        set_terms(wedges.n[e], first, angle[n, 1], sense_of(wedges, e, axis), double.p_e)
+        set_terms(wedges.n[f], last, angle[n + 1, 0], sense_of(wedges, f, axis), double.q_f)
         root = math.sqrt((before + after) * sine + w)
         half = 0.5 if scratch.common[n + 1] else 1.0
         for m in range(len(spectrum.node)):
