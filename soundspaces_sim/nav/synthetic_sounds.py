@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.signal import butter, lfilter, sosfilt
+import scipy  # `scipy.signal` is loaded when it is first used: it takes a second
 
 Rng = np.random.Generator
 _TAU = 2.0 * np.pi
@@ -31,7 +31,9 @@ def synthesise(family: str, variant: int, rate: int, seed: int = 0) -> np.ndarra
 def _band(x: np.ndarray, low: float, high: float, rate: int, order: int = 2) -> np.ndarray:
     top = min(high, 0.45 * rate)
     return np.asarray(
-        sosfilt(butter(order, [min(low, 0.5 * top), top], "band", fs=rate, output="sos"), x)
+        scipy.signal.sosfilt(
+            scipy.signal.butter(order, [min(low, 0.5 * top), top], "band", fs=rate, output="sos"), x
+        )
     )
 
 
@@ -113,7 +115,7 @@ def _string(rng: Rng, t: np.ndarray, rate: int, _: int) -> np.ndarray:
         burst[:period] = rng.uniform(-1.0, 1.0, period)
         feedback = np.zeros(period + 2)
         feedback[0], feedback[period], feedback[period + 1] = 1.0, -0.497, -0.497
-        return np.asarray(lfilter([1.0], feedback, burst))
+        return np.asarray(scipy.signal.lfilter([1.0], feedback, burst))
 
     return _strokes(rng, rate, int(rng.integers(3, 7)), pluck, 0.05)
 
@@ -136,7 +138,7 @@ def _syllable(rng: Rng, t: np.ndarray, rate: int, variant: int) -> np.ndarray:
         for f, width in zip(vowels[(variant + k) % 5], (80.0, 100.0, 140.0), strict=True):
             radius = np.exp(-np.pi * width / rate)
             a = [1.0, -2.0 * radius * np.cos(_TAU * f / rate), radius**2]
-            voice = lfilter([sum(a)], a, voice)
+            voice = scipy.signal.lfilter([sum(a)], a, voice)
         hiss = _band(rng.standard_normal(n), 3500, 7000, rate) * np.exp(-np.arange(n) / (0.03 * rate))
         return np.asarray(
             voice * np.sin(np.pi * np.arange(n) / n) / max(np.abs(voice).max(), 1e-9) + 0.1 * hiss
