@@ -159,6 +159,7 @@ class LiveScene:
 
     def warm_up(self, rate: int) -> None:
         """Make the first estimate, and load what renders it, while a browser opens."""
+        binaural_rir(np.zeros((9, 64), np.float32), rate)  # needs no kernels
         self._kernels.wait()
         source, listener, storey = self.first_places()
         there, here = (
