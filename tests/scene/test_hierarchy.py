@@ -16,6 +16,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core import embree_library
 from soundspaces_sim.core.numerics import target
 from soundspaces_sim.scene.rays import embree, hierarchy
+from tests.marks import ci_slow
 from tests.rooms import box, table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -216,6 +217,7 @@ def test_keys_hold_who_casts(monkeypatch: pytest.MonkeyPatch) -> None:
     assert target.code_target.__wrapped__() == f"{plain} rays-by-arrays"
 
 
+@ci_slow  # compiles all kernels anew
 def test_a_simulation_without_embree() -> None:
     """In a process of its own: no library of Embree is loaded, and energies are those of Embree's simulation, to
     what differs by rays near edges."""
