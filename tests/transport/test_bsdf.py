@@ -10,7 +10,7 @@ from soundspaces_sim.transport import bsdf
 from tests.transport.test_sampling import N, chi_square, integrate
 
 NORMAL = (0.6, -0.48, 0.64)
-NAMES = [lobe.NAME for lobe in bsdf.LOBES]
+NAMES = [lobe.name for lobe in bsdf.LOBES]
 SCATTERING = [name for name, delta in zip(NAMES, bsdf.DELTA, strict=True) if not delta]
 
 

@@ -129,7 +129,7 @@ def test_events_follow_their_probabilities_and_weigh_to_their_energy() -> None:
     # E[weight] of a lobe is its energy.
     rho = 1.0 - a[0] - t[0]
     energies = {"diffuse": rho * s[0], "specular": rho * (1 - s[0]), "transmission": t[0]}
-    for lobe, energy in ((k, energies[module.NAME]) for k, module in enumerate(LOBES)):
+    for lobe, energy in ((k, energies[one.name]) for k, one in enumerate(LOBES)):
         error = 3.0 * np.sqrt(energy * 3.0 / n)
         assert np.all(np.abs(mean[lobe] - energy) < 4.0 * error)
 

@@ -16,7 +16,7 @@ _TOYS = Path(__file__).parent / "toys"
 _LINES = {
     "transport/bsdf/__init__.py": [
         ("import diffuse, specular, transmission\n", "import diffuse, sheen, specular, transmission\n"),
-        ("(diffuse, specular, transmission)\n", "(diffuse, specular, transmission, sheen)\n"),
+        ("specular.LOBE, transmission.LOBE)\n", "specular.LOBE, transmission.LOBE, sheen.LOBE)\n"),
     ],
     "core/numerics/reflection_laws.py": [
         ('    "angle": Entry(', '    "linear": Entry("soundspaces_sim.transport.bsdf.linear", "a toy"),\n    "angle": Entry('),

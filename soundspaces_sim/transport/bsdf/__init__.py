@@ -7,31 +7,21 @@ on the angle of incidence. Nothing outside this package names a lobe: `surface` 
 Conventions: directions are unit vectors (x, y, z) along which sound travels, `d_in` to the surface and `d_out`
 away from it; `normal` is on the side from which sound comes. Surfaces are two-sided.
 
-**A lobe** is a file here and its line in `LOBES`. It has
-
-    NAME                                      for messages DELTA, TRANSMITS, LAMBERTIAN              one
-    direction only; goes on behind the surface; `value` is constant EXPLORED
-    least probability with which proposals that explore take it energy(absorption, scattering, transmission)
-    (m, b) fraction of what comes, from such arrays sample(d_in, normal, uv) -> d_out         from two uniform
-    numbers (compiled, as the next two) pdf(d_in, normal, d_out)                  density of `sample`, 1/sr (not
-    of delta lobes) value(d_in, normal, d_out)                energy scattered into d_out, 1/sr, of 1 that the
-    lobe takes (likewise)
-
-`value` times the cosine of d_out is `pdf`, integrates to one over the hemisphere, and is the same with both
-directions reversed and swapped (reciprocity): tests/transport/test_bsdf.py holds every lobe to that. A lobe
-that takes a part of another one's energy has `OF`, that lobe's name, and `energy` is then the fraction of it.
-One delta lobe reflects and one transmits, as image sources and straight paths through walls assume.
+**A lobe** is a file here that ends with its record (`lobe.Lobe`), and a line in `LOBES`. `value` times the cosine
+of d_out is `pdf`, integrates to one over the hemisphere, and is the same with both directions reversed and swapped
+(reciprocity): tests/transport/test_bsdf.py holds every lobe to that. A lobe that takes a part of another one's
+energy names it (`of`). One delta lobe reflects and one transmits, as image sources and straight paths through walls
+assume.
 
 Patches (`radiance_transfer`) carry late sound of Lambertian lobes. Where a scene has another one that scatters,
 receiver volumes make late sound (`radiance_transfer.prepared.late_technique`).
 
 **A reflection law** is a file here and its row in the table of laws (`core.numerics.reflection_laws`). It has
 
-    parameters(absorption, transmission, free) -> (m, 2, b, p)   of m materials in b bands; `free` (m,): which
-    hang
-                                              free in air; for reflection and for transmission
-    factor(parameters, cos)                   (compiled) energy at an angle of incidence over that at random
-    incidence
+    parameters(absorption, transmission, free) -> (m, 2, b, p)
+        of m materials in b bands; `free` (m,): which hang free in air; for reflection and for transmission
+    factor(parameters, cos)
+        (compiled) energy at an angle of incidence over that at random incidence
 
 Means of `factor` over random incidence are one: coefficients of materials are those at random incidence.
 """
@@ -44,17 +34,16 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
-from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.transport.bsdf import diffuse, specular, transmission
 
-LOBES: tuple[ModuleType, ...] = (diffuse, specular, transmission)
+LOBES = (diffuse.LOBE, specular.LOBE, transmission.LOBE)
 LAWS: tuple[ModuleType, ...] = tuple(import_module(law.target) for law in REFLECTION_LAWS.values())
 LAW_NAMES = tuple(REFLECTION_LAWS)
 
 COUNT = len(LOBES)
-DELTA = np.array([lobe.DELTA for lobe in LOBES])
-TRANSMITS = np.array([lobe.TRANSMITS for lobe in LOBES])
-LAMBERTIAN = np.array([lobe.LAMBERTIAN for lobe in LOBES])
+DELTA = np.array([lobe.delta for lobe in LOBES])
+TRANSMITS = np.array([lobe.transmits for lobe in LOBES])
+LAMBERTIAN = np.array([lobe.lambertian for lobe in LOBES])
 
 
 def _only(which: np.ndarray) -> int:
@@ -64,12 +53,6 @@ def _only(which: np.ndarray) -> int:
 
 SPECULAR = _only(DELTA & ~TRANSMITS)
 TRANSMISSION = _only(DELTA & TRANSMITS)
-
-
-@part(forceinline=True)
-def _nothing(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
-    """`pdf` and `value` of a delta lobe: no given direction is its own."""
-    return 0.0
 
 
 def select(functions: list[Any]) -> Any:
@@ -97,8 +80,8 @@ def _either(own: int, function: Any, others: Any) -> Any:
 
 
 sample = select([lobe.sample for lobe in LOBES])
-pdf = select([getattr(lobe, "pdf", _nothing) for lobe in LOBES])
-value = select([getattr(lobe, "value", _nothing) for lobe in LOBES])
+pdf = select([lobe.pdf for lobe in LOBES])
+value = select([lobe.value for lobe in LOBES])
 factor = select([law.factor for law in LAWS])
 
 
@@ -109,8 +92,7 @@ def lobe_energies(
     energies: dict[str, np.ndarray] = {}
     for lobe in LOBES:
         share = lobe.energy(absorption, scattering, transmission)
-        source = getattr(lobe, "OF", None)
-        if source is not None:
-            share, energies[source] = share * energies[source], (1.0 - share) * energies[source]
-        energies[lobe.NAME] = share
+        if lobe.of is not None:
+            share, energies[lobe.of] = share * energies[lobe.of], (1.0 - share) * energies[lobe.of]
+        energies[lobe.name] = share
     return np.stack(list(energies.values()), axis=1)

@@ -8,10 +8,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot
 from soundspaces_sim.scene.rays.directions import INV_PI, pdf_cosine, sample_cosine_hemisphere
-
-NAME = "diffuse"
-DELTA, TRANSMITS, LAMBERTIAN = False, False, True
-EXPLORED = 0.25
+from soundspaces_sim.transport.bsdf.lobe import Lobe
 
 
 def energy(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> np.ndarray:
@@ -31,3 +28,6 @@ def pdf(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
 @part(forceinline=True)
 def value(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
     return INV_PI
+
+
+LOBE = Lobe("diffuse", energy, sample, pdf, value, lambertian=True, explored=0.25)

@@ -56,9 +56,9 @@ def make_surfaces(
     mean = energy.mean(axis=2)
     explore = mean.copy()
     total = np.maximum(mean.sum(axis=1), 1e-300)
-    for lobe, module in enumerate(bsdf.LOBES):
+    for lobe, record in enumerate(bsdf.LOBES):
         present = mean[:, lobe] > 0.0
-        explore[present, lobe] = np.maximum(mean[present, lobe], module.EXPLORED * total[present])
+        explore[present, lobe] = np.maximum(mean[present, lobe], record.explored * total[present])
     rows = [energy.transpose(0, 2, 1), mean[:, None, :], explore[:, None, :]]
     proposal = np.concatenate(rows, axis=1)
     # A band that absorbs everything has no preference: it proposes what the average does.
@@ -310,5 +310,5 @@ def non_lambertian(surfaces: Surfaces, materials: np.ndarray) -> str:
     """Name of a lobe that scatters but is not Lambertian, of any of these materials (rows); "" if there is none."""
     for lobe in np.flatnonzero(~bsdf.DELTA & ~bsdf.LAMBERTIAN):
         if (surfaces.energy[np.unique(materials), lobe] > 0.0).any():
-            return str(bsdf.LOBES[lobe].NAME)
+            return str(bsdf.LOBES[lobe].name)
     return ""

@@ -15,7 +15,7 @@ from tests.rooms import box, plain, plane, table
 def test_lobe_is_there_and_keeps_its_late_energy() -> None:
     """1 J in a room without losses makes a fluence of c t / V; patches, which need Lambert's law, are not
     taken."""
-    assert [lobe.NAME for lobe in bsdf.LOBES] == ["diffuse", "specular", "transmission", "sheen"]
+    assert [lobe.name for lobe in bsdf.LOBES] == ["diffuse", "specular", "transmission", "sheen"]
     size = (4.0, 3.0, 2.5)
     scene, config = (
         box(size, table(0.0, 1.0)),

@@ -7,11 +7,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, orthonormal_frame
-
-NAME = "sheen"
-DELTA, TRANSMITS, LAMBERTIAN = False, False, False
-EXPLORED = 0.0
-OF = "diffuse"
+from soundspaces_sim.transport.bsdf.lobe import Lobe
 
 
 def energy(absorption: np.ndarray, scattering: np.ndarray, transmission: np.ndarray) -> np.ndarray:
@@ -53,3 +49,6 @@ def value(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
 @part
 def pdf(d_in: Vec3, normal: Vec3, d_out: Vec3) -> float:
     return float(value(d_in, normal, d_out) * max(dot(normal, d_out), 0.0))
+
+
+LOBE = Lobe("sheen", energy, sample, pdf, value, of="diffuse")
