@@ -239,7 +239,7 @@ from .nav.cache import (
     BlockCache,
     LastUsed,
 )
-from .nav.depth.draw import (
+from .nav.depth import (
     check_scene,
     scene_of_dataset,
 )

@@ -3,7 +3,7 @@
 from .agents import EarFollower, Forward, GoalFollower, Oracle, Random
 from .audio_sensor import bake_sound
 from .data import NavData
-from .depth.draw import depth_views
+from .depth import depth_views
 from .env import AudioNavEnv, register_environments
 from .episodes import Episode, make_episode, read_episodes, write_episodes
 from .evaluate import Result, evaluate

@@ -16,7 +16,6 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.nav import depth
 from soundspaces_sim.nav.baked_arrays import VIEWS, read_arrays, write_arrays
 from soundspaces_sim.nav.navigation_graph import HEADINGS
 
@@ -80,17 +79,19 @@ def bake_views(
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Draw all nodes and headings into ``views.h5`` beside the dataset, unless it is there. Returns its path."""
+    from soundspaces_sim.nav.depth import check_scene, depth_views, scene_of_dataset  # Embree
+
     path = ds.path / VIEWS
     if path.exists() and Views(ds, size).baked is not None:
         return path
     if scene is None:
-        scene = depth.scene_of_dataset(ds)
-    depth.check_scene(ds, scene)
+        scene = scene_of_dataset(ds)
+    check_scene(ds, scene)
     nodes = np.array(ds.manifest.nodes, np.int64)
     drawn = drawn_size(size)
     pictures = np.empty((len(nodes), 4, drawn, drawn), np.float16)
     for k, camera in enumerate(camera_positions(ds, nodes)):
-        pictures[k] = normalise(depth.depth_views(scene, camera, np.array(HEADINGS), drawn)[0])
+        pictures[k] = normalise(depth_views(scene, camera, np.array(HEADINGS), drawn)[0])
         if progress is not None:
             progress(k + 1, len(nodes))
     return write_arrays(path, _belongs(ds), {"nodes": nodes, "depth": pictures})
@@ -127,9 +128,9 @@ class Views:
     def _full(self, node: int) -> np.ndarray:
         if self.baked is not None:
             return np.asarray(self.baked[self.row[node]])
+        from soundspaces_sim.nav.depth import depth_views, scene_of_dataset  # Embree
+
         if self._scene is None:
-            self._scene = depth.scene_of_dataset(self.ds)
+            self._scene = scene_of_dataset(self.ds)
         camera = camera_positions(self.ds, np.array([node]))
-        return normalise(
-            depth.depth_views(self._scene, camera, np.array(HEADINGS), drawn_size(self.size))[0]
-        )
+        return normalise(depth_views(self._scene, camera, np.array(HEADINGS), drawn_size(self.size))[0])

@@ -25,7 +25,7 @@ from soundspaces_sim.nav.audio_sensor import (
     through,
 )
 from soundspaces_sim.nav.data import NavData
-from soundspaces_sim.nav.depth.draw import depth_views, scene_of_dataset
+from soundspaces_sim.nav.depth import depth_views, scene_of_dataset
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import make_episode
 from soundspaces_sim.nav.navigation_graph import FORWARD

@@ -1,5 +1,0 @@
-"""Depth pictures drawn from the scene: it, and Embree, are loaded when first used."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
