@@ -15,7 +15,7 @@ import numpy as np
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.heightfield import too_large
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.triangles import pieces_of, welded
+from soundspaces_sim.scene.triangles import highest, lowest, pieces_of, used_rows, welded
 from soundspaces_sim.scene.walkable import find_floors
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -46,9 +46,9 @@ def to_scene_frame(mesh: LabelledMesh, up: str | None = None, unit: str | None =
     notes = list(mesh.notes)
     stray = _stray_faces(vertices, faces)
     core = faces[~stray] if not stray.all() else faces
-    axis = up or mesh.up
+    axis, clear = up or mesh.up, None
     if axis is None:
-        axis, note = _guess_up(vertices[core], UNITS[unit] if unit is not None else mesh.metre)
+        axis, clear, note = _guess_up(vertices[core], UNITS[unit] if unit is not None else mesh.metre)
         notes.append(note)
     elif up is None and axis != "z":
         notes.append(f"{axis.upper()} is taken as up: so says the file (override with up=)")
@@ -56,14 +56,14 @@ def to_scene_frame(mesh: LabelledMesh, up: str | None = None, unit: str | None =
     vertices = vertices[:, rows] * np.array(signs, float)
     metre = UNITS[unit] if unit is not None else mesh.metre
     if metre is None:
-        name, note = _guess_unit(vertices, faces, core)
+        name, note = _guess_unit(vertices, faces, core, clear)
         metre = UNITS[name]
         notes.append(note)
     elif unit is None and metre != 1.0:
         notes.append(f"lengths are taken as {metre:.6g} m: so says the file (override with unit=)")
     vertices = vertices * metre
     keep = np.ones(len(faces), bool)
-    span = np.ptp(vertices[faces].reshape(-1, 3), axis=0)
+    span = np.ptp(vertices[used_rows(faces, len(vertices))], axis=0)
     if stray.any() and not stray.all() and span.max() > FARTHEST:
         keep = ~stray
         left = np.ptp(vertices[faces[keep]].reshape(-1, 3), axis=0)
@@ -102,7 +102,7 @@ def _check(mesh: LabelledMesh, up: str | None, unit: str | None) -> None:
             f"{mesh.name}: face indices reach {faces.min()}..{faces.max()}, but there are {len(vertices)} "
             "vertices; is the file complete?"
         )
-    largest = float(np.abs(vertices[faces]).max())
+    largest = float(np.abs(vertices[used_rows(faces, len(vertices))]).max())
     if not np.isfinite(largest):
         raise SceneError(f"{mesh.name}: some faces have coordinates that are not finite (NaN or inf)")
     if largest * (UNITS[unit] if unit is not None else mesh.metre or UNITS["mm"]) > _MOST:
@@ -115,7 +115,7 @@ def _check(mesh: LabelledMesh, up: str | None, unit: str | None) -> None:
 def _stray_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(F,) whether a face has a corner that may be a slip: far beyond the middle of the vertices, and one of
     few. In any unit, so that units can be guessed without it."""
-    used = np.unique(faces)
+    used = used_rows(faces, len(vertices))
     low, middle, high = np.quantile(vertices[used], [0.1, 0.5, 0.9], axis=0, method="nearest")
     far = np.abs(vertices - middle).max(axis=1) > _ASTRAY * max(float((high - low).max()), 1e-300)
     if far[used].sum() > max(3.0, _FEW * len(used)):
@@ -129,24 +129,25 @@ def _turned(corners: np.ndarray, axis: str) -> np.ndarray:
     return corners[..., rows] * np.array(signs, float)
 
 
-def _guess_up(corners: np.ndarray, metre: float | None) -> tuple[str, str]:
-    """Which of Y and Z is up, and a note. An axis along which nobody could stand upright is not, if one could along
-    the other. `metre`: length of the unit, if known."""
-    extent = np.ptp(corners.reshape(-1, 3), axis=0)
+def _guess_up(corners: np.ndarray, metre: float | None) -> tuple[str, np.ndarray | None, str]:
+    """Which of Y and Z is up; the free heights with that axis up, if they were measured; and a note. An axis along
+    which nobody could stand upright is not, if one could along the other. `metre`: length of the unit, if known."""
+    extent = highest(corners).max(axis=0) - lowest(corners).min(axis=0)
     heights = {n: float(extent[k]) for n, k in (("y", 1), ("z", 2))}
     metres = {n: h * (metre or UNITS[_unit_of(h)]) for n, h in heights.items()}
     upright = [n for n in UPS if _STANDING <= metres[n] <= _HIGHEST]
     if len(upright) == 1 and min(metres.values()) < _STANDING:
         low = "z" if upright == ["y"] else "y"
         reason = f"one can stand in {metres[upright[0]]:.2f} m, and not in the {metres[low]:.2f} m along"
-        return upright[0], f"{_up_note(upright[0])}: {reason} {low.upper()} (override with up=)"
-    score = {}
+        return upright[0], None, f"{_up_note(upright[0])}: {reason} {low.upper()} (override with up=)"
+    points, faces = welded(corners, 5)
+    piece, score, clear = pieces_of(faces, len(points)), {}, {}
     for name in UPS:
         own = _turned(corners, name)
-        clear, cell = _clear_heights(own)
+        clear[name], cell = _clear_heights(own)
         length = metre or UNITS[_unit_of(heights[name])]
-        area = float(_like_rooms(clear * length).sum()) * (cell * length) ** 2
-        score[name] = area * (1.0 + _resting(own))
+        area = float(_like_rooms(clear[name] * length).sum()) * (cell * length) ** 2
+        score[name] = area * (1.0 + _resting(own, piece))
     up = "y" if score["y"] > _EQUAL * score["z"] else "z"
     other = "z" if up == "y" else "y"
     reason = (
@@ -154,8 +155,8 @@ def _guess_up(corners: np.ndarray, metre: float | None) -> tuple[str, str]:
         f"{other.upper()} up"
     )
     if score[up] < _ALIKE * score[other] or score[up] == 0.0:
-        return up, f"{DOUBT}{_up_note(up)}, but {reason}: set --up (up=)"
-    return up, f"{_up_note(up)}: {reason} (override with up=)"
+        return up, clear[up], f"{DOUBT}{_up_note(up)}, but {reason}: set --up (up=)"
+    return up, clear[up], f"{_up_note(up)}: {reason} (override with up=)"
 
 
 def _up_note(axis: str) -> str:
@@ -165,14 +166,14 @@ def _up_note(axis: str) -> str:
 def _clear_heights(corners: np.ndarray) -> tuple[np.ndarray, float]:
     """Free heights above cells of floor, inf where no ceiling is, and the size of a cell, in the file's unit. Roofs
     are no floor: what has no ceiling counts where nothing is below."""
-    extent = np.ptp(corners.reshape(-1, 3), axis=0)
+    extent = highest(corners).max(axis=0) - lowest(corners).min(axis=0)
     cell = float(np.sqrt(extent[0] * extent[1] / _COLUMNS))
     if cell <= 0.0 or too_large(corners, cell):
         return np.empty(0), cell
     columns = find_floors(corners, cell, 0.1 * float(extent[2]), cell, 0.03 * float(extent[2]))
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
-    lowest = columns.start[column] == np.arange(len(column))
-    return columns.clear[columns.stand & (lowest | ~columns.sky)].astype(float), cell
+    first = columns.start[column] == np.arange(len(column))
+    return columns.clear[columns.stand & (first | ~columns.sky)].astype(float), cell
 
 
 def _like_rooms(clear: np.ndarray) -> np.ndarray:
@@ -182,33 +183,34 @@ def _like_rooms(clear: np.ndarray) -> np.ndarray:
     return np.where(np.isinf(clear), _OPEN, share)
 
 
-def _resting(corners: np.ndarray) -> float:
-    """Share of the pieces beside the largest whose feet are at the height at which most are: furniture on a
+def _resting(corners: np.ndarray, piece: np.ndarray) -> float:
+    """Share of the pieces (F,) beside the largest whose feet are at the height at which most are: furniture on a
     floor."""
-    points, faces = welded(corners, 5)
-    piece = pieces_of(faces, len(points))
     count = int(piece.max()) + 1
     if count < 4:
         return 0.0
     z = corners[..., 2]
     foot, top = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(foot, piece, z.min(axis=1))
-    np.maximum.at(top, piece, z.max(axis=1))
+    np.minimum.at(foot, piece, lowest(corners)[:, 2])
+    np.maximum.at(top, piece, highest(corners)[:, 2])
     height = float(np.ptp(z))
     feet = foot[top - foot < 0.8 * height]
     slab = np.rint(feet / max(0.02 * height, 1e-300)).astype(np.int64)
     return float(np.bincount(slab - slab.min()).max() / len(slab)) if len(slab) >= 3 else 0.0
 
 
-def _guess_unit(vertices: np.ndarray, faces: np.ndarray, core: np.ndarray) -> tuple[str, str]:
+def _guess_unit(
+    vertices: np.ndarray, faces: np.ndarray, core: np.ndarray, clear: np.ndarray | None
+) -> tuple[str, str]:
     """Unit in which a height reads like that of a building (2 to 40 m) and, if there is one, its rooms are as high
-    as most are; and a note. `core`: faces that are not astray."""
-    height = float(np.ptp(vertices[np.unique(faces), 2]))
+    as most are; and a note. `core`: faces that are not astray; `clear`: free heights above them, if known."""
+    height = float(np.ptp(vertices[used_rows(faces, len(vertices)), 2]))
     unit = _unit_of(height)
     if height * UNITS[unit] > _HIGHEST:
-        height = float(np.ptp(vertices[np.unique(core), 2]))
+        height = float(np.ptp(vertices[used_rows(core, len(vertices)), 2]))
         unit = _unit_of(height)
-    clear, _ = _clear_heights(vertices[core])
+    if clear is None:
+        clear, _ = _clear_heights(vertices[core])
     clear = clear[np.isfinite(clear)]
     room = float(np.median(clear)) if len(clear) else height
     good = [n for n, metre in UNITS.items() if _ROOMS[0] <= room * metre <= _ROOMS[1]]

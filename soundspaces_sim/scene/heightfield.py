@@ -14,6 +14,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, part
+from soundspaces_sim.scene.triangles import highest, lowest
 
 MOST_COLUMNS = 40_000_000  # 190 x 190 m in cells of 3 cm
 MOST_CLIPS = 500_000_000  # about a minute
@@ -61,33 +62,40 @@ def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
 
     Raises `SceneError` beyond `MOST_COLUMNS` columns, or `MOST_CLIPS` of them under all triangles together.
     """
-    reason = too_large(corners, cell)
+    boxes = lowest(corners), highest(corners)
+    reason = _too_large(*boxes, cell)
     if reason:
         raise SceneError(reason)
-    cells = _raster(corners, cell)
+    cells = _raster(*boxes, cell)
     parts = [
         (found.column.astype(np.int32), found.low.astype(np.float32), found.high.astype(np.float32))
         for found in _pieces(corners, cells)
     ]
     column, bottom, top = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    order = np.lexsort((bottom, column))
+    # By column, then by height: one number for both, with floats as integers of their order, is sorted fastest.
+    bits = (bottom + np.float32(0.0)).view(np.int32)
+    height = (bits ^ (bits >> 31 & 0x7FFFFFFF)).astype(np.int64) + 2**31
+    order = np.argsort(column.astype(np.int64) << 32 | height, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=cells.nx * cells.ny))])
     return cells, Spans(start, bottom[order], top[order])
 
 
-def _raster(corners: np.ndarray, cell: float) -> Cells:
-    """Cells of `cell` m under triangles (F, 3, 3), with an empty one on every side."""
-    low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
+def _raster(lows: np.ndarray, highs: np.ndarray, cell: float) -> Cells:
+    """Cells of `cell` m under triangles' boxes (F, 3), with an empty one on every side."""
+    low, high = lows.min(axis=0), highs.max(axis=0)
     nx, ny = (math.ceil((high[k] - low[k]) / cell) + 2 for k in (0, 1))
     return Cells(float(low[0]) - cell, float(low[1]) - cell, cell, nx, ny)
 
 
 def too_large(corners: np.ndarray, cell: float) -> str:
     """Why `vertical_spans` refuses triangles (F, 3, 3) m; empty if it does not."""
-    flat = corners.reshape(-1, 3)
-    size = flat.max(axis=0) - flat.min(axis=0)
+    return _too_large(lowest(corners), highest(corners), cell)
+
+
+def _too_large(low: np.ndarray, high: np.ndarray, cell: float) -> str:
+    size = high.max(axis=0) - low.min(axis=0)
     columns = float((size[0] / cell + 2.0) * (size[1] / cell + 2.0))
-    across = np.ptp(corners, axis=1)[:, :2] / cell + 2.0
+    across = (high - low)[:, :2] / cell + 2.0
     clips = float((across[:, 0] * across[:, 1]).sum())
     if columns <= MOST_COLUMNS and clips <= MOST_CLIPS:
         return ""
@@ -168,6 +176,11 @@ def _clip_faces(
     count, most = 0, len(found.column)
     for f in range(face, len(corners)):
         i0, i1, j0, j1 = _columns_under(corners[f], cells)
+        if i1 - i0 == 1 and j1 - j0 == 1 and count < most:  # as most triangles of a scan
+            found.column[count], found.face[count] = i0 * cells.ny + j0, f
+            found.low[count], found.high[count] = _height(corners[f], 3)
+            count += 1
+            continue
         for i in range(max(i0, row) if f == face else i0, i1):
             if count + j1 - j0 > most:
                 return count, f, i

@@ -31,7 +31,14 @@ from soundspaces_sim.scene.rays.overlaps import (
     overlap_notes,
 )
 from soundspaces_sim.scene.section import section
-from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges
+from soundspaces_sim.scene.triangles import (
+    areas,
+    cross_products,
+    highest,
+    longest_edges,
+    lowest,
+    used_rows,
+)
 
 
 def check_scene(scene: object) -> None:
@@ -43,15 +50,26 @@ def check_scene(scene: object) -> None:
 
 
 _FARTHEST, _WIDEST = 1e9, 2e4  # m, from the origin, and across
+_HASH = np.uint64(0x9E3779B97F4A7C15)  # odd, of no pattern
 
 
 def _first_of_its_place(corners: np.ndarray, material: np.ndarray) -> np.ndarray:
     """(F,) False for a face whose (3, 3) corners, in any order, and material another one before it has."""
-    order = np.lexsort(corners.transpose(2, 0, 1)[::-1], axis=1)
-    rows = np.take_along_axis(corners, order[:, :, None], axis=1).reshape(len(corners), 9)
-    rows = np.column_stack([rows, material])
-    unique = np.zeros(len(corners), bool)
-    unique[unique_rows(rows)[0]] = True
+    unique = np.ones(len(corners), bool)
+    # Only those in the same box can be alike, and in most meshes none are.
+    box = np.column_stack([lowest(corners), highest(corners)]) + 0.0  # -0 is 0
+    key = np.zeros(len(corners), np.uint64)
+    for column in (*box.T, material.astype(float)):
+        key = (key ^ np.ascontiguousarray(column).view(np.uint64)) * _HASH
+        key ^= key >> np.uint64(32)
+    ordered = np.sort(key)
+    some = np.flatnonzero(np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]]))
+    if len(some) > 0:
+        own = corners[some]
+        order = np.lexsort(own.transpose(2, 0, 1)[::-1], axis=1)
+        rows = np.take_along_axis(own, order[:, :, None], axis=1).reshape(len(some), 9)
+        unique[some] = False
+        unique[some[unique_rows(np.column_stack([rows, material[some]]))[0]]] = True
     return unique
 
 
@@ -204,14 +222,14 @@ class Scene:
                 f"{self.name}: face indices reach {faces.min()}..{faces.max()}, "
                 f"but there are {len(vertices)} vertices"
             )
-        used = vertices[faces]
+        used = vertices[used_rows(faces, len(vertices))]
         if not np.isfinite(used).all():
-            bad = int((~np.isfinite(used)).any(axis=(1, 2)).sum())
+            bad = int((~np.isfinite(vertices[faces])).any(axis=(1, 2)).sum())
             raise SceneError(f"{self.name}: {bad} faces have coordinates that are not finite")
-        if np.abs(used).max() > _FARTHEST or np.ptp(used.reshape(-1, 3), axis=0).max() > _WIDEST:
+        if np.abs(used).max() > _FARTHEST or np.ptp(used, axis=0).max() > _WIDEST:
             raise SceneError(
                 f"{self.name}: coordinates reach {np.abs(used).max():.3g} m and span "
-                f"{np.ptp(used.reshape(-1, 3), axis=0).max():.3g} m, where {_WIDEST:,.0f} m is the most that is "
+                f"{np.ptp(used, axis=0).max():.3g} m, where {_WIDEST:,.0f} m is the most that is "
                 "simulated; check the unit, and for vertices that are astray"
             )
         if material.shape != (len(faces),) or material.dtype.kind not in "iu":
@@ -253,8 +271,7 @@ class Scene:
     @cached_property
     def bounds(self) -> np.ndarray:
         """(2, 3) lowest and highest corner of the faces, m."""
-        flat = self.corners.reshape(-1, 3)
-        return np.stack([flat.min(axis=0), flat.max(axis=0)])
+        return np.stack([lowest(self.corners).min(axis=0), highest(self.corners).max(axis=0)])
 
     @cached_property
     def center(self) -> np.ndarray:

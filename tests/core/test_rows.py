@@ -18,6 +18,17 @@ def test_as_numpy(shape: tuple[int, int], kind: type) -> None:
     np.testing.assert_array_equal(of_row, inverse.ravel())
 
 
+@pytest.mark.parametrize("most", [2**20, 2**40, 2**62])
+def test_integers_of_any_size(most: int) -> None:
+    """Three of 20 bits fit into one number, larger ones do not."""
+    rng = np.random.default_rng(0)
+    rows = rng.integers(-most, most, (50, 3))[rng.integers(0, 50, 400)]
+    unique, index, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    first, of_row = unique_rows(rows)
+    np.testing.assert_array_equal(first, index)
+    np.testing.assert_array_equal(of_row, inverse.ravel())
+
+
 def test_zeros_of_either_sign_are_alike() -> None:
     first, of_row = unique_rows(np.array([[0.0, 1.0], [-1.0, 0.0], [-0.0, 1.0]]))
     assert first.tolist() == [1, 0] and of_row.tolist() == [1, 0, 1]

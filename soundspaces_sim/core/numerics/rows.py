@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,15 +17,28 @@ def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What differs among (n, k) rows: the (m,) row at which each one comes first, ascending in the values from the
     first column on; and (n,) which of these each row is.
 
-    As `np.unique` with `axis=0`, in a fourth of its time: that one compares records.
+    As `np.unique` with `axis=0`, in a fourth of its time: that one compares records. Integers are faster yet.
     """
-    order = np.lexsort(rows.T[::-1])
-    ordered = rows[order]
+    key = _packed(rows) if rows.dtype.kind in "iu" and len(rows) > 0 else None
+    order = np.lexsort(rows.T[::-1]) if key is None else np.argsort(key, kind="stable")
+    ordered = (rows if key is None else key[:, None])[order]
     fresh = np.ones(len(rows), bool)
     fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     of_row = np.empty(len(rows), np.int64)
     of_row[order] = np.cumsum(fresh) - 1
     return order[fresh], of_row
+
+
+def _packed(rows: np.ndarray) -> np.ndarray | None:
+    """(n,) one number for each of (n, k) rows of integers, in the order of the rows; None if they are too large."""
+    low = [int(column.min()) for column in rows.T]
+    spans = [int(column.max()) - least + 1 for column, least in zip(rows.T, low, strict=True)]
+    if math.prod(spans) >= 2**63:
+        return None
+    key = np.zeros(len(rows), np.int64)
+    for column, least, span in zip(rows.T, low, spans, strict=True):
+        key = key * span + (column.astype(np.int64) - least)
+    return key
 
 
 def taken(array: np.ndarray, rows: np.ndarray) -> np.ndarray:

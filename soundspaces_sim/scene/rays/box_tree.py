@@ -6,6 +6,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, divide, length, subtract
+from soundspaces_sim.scene.triangles import highest, lowest
 
 LEAF = 4  # triangles
 _BITS = 16  # of a coordinate in Morton codes
@@ -27,7 +28,7 @@ class BoxTree(NamedTuple):
 
 def make_box_tree(corners: np.ndarray) -> BoxTree:
     """The tree of (F, 3, 3) corners."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    low, high = lowest(corners), highest(corners)
     middle = 0.5 * (low + high)
     least = middle.min(axis=0)
     extent = float((middle.max(axis=0) - least).max())
@@ -44,12 +45,13 @@ def make_box_tree(corners: np.ndarray) -> BoxTree:
         nodes = np.full((2 * leaves, 3), of_none)
         padded = np.full((leaves * LEAF, 3), of_none)
         padded[: len(order)] = values[order]
-        nodes[leaves:] = extreme.reduce(padded.reshape(leaves, LEAF, 3), axis=1)
+        for k in range(LEAF):
+            nodes[leaves:] = extreme(nodes[leaves:], padded[k::LEAF])
         first = leaves
         while first > 1:
             pairs = nodes[first : 2 * first].reshape(-1, 2, 3)
             first //= 2
-            nodes[first : 2 * first] = extreme.reduce(pairs, axis=1)
+            nodes[first : 2 * first] = extreme(pairs[:, 0], pairs[:, 1])
         boxes.append(nodes)
     return BoxTree(*boxes, triangle.reshape(leaves, LEAF))
 

@@ -16,7 +16,14 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, cross, dot, length, row, su
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, make_box_tree
 from soundspaces_sim.scene.rays.geometry import Covers, Geometry
-from soundspaces_sim.scene.triangles import areas, cross_products, pieces_of, welded
+from soundspaces_sim.scene.triangles import (
+    areas,
+    cross_products,
+    highest,
+    lowest,
+    pieces_of,
+    welded,
+)
 
 _NEAR = (
     0.5  # of the offset of rays: nearer triangles lie in one place, and more of them than that has to
@@ -34,7 +41,7 @@ class Overlaps(NamedTuple):
     area: np.ndarray  # (n,) m², that they share
     contact: (
         np.ndarray
-    )  # (n,) whether a body stands there on what looks the other way, which nobody hears
+    )  # (n,) of two materials: a body stands on what looks the other way, which nobody hears
 
 
 @part(forceinline=True)
@@ -92,19 +99,22 @@ def _pairs(
     area: np.ndarray,
     polygon: np.ndarray,
 ) -> None:
-    """Triangles after triangle i that lie in its place: their number to `start[i + 1]` where `partner` is empty,
-    else they and the areas from `start[i]` on."""
+    """Triangles after triangle i that lie in its place, those of a leaf of the tree each: their number to
+    `start[i + 1]` where `partner` is empty, else they and the areas from `start[i]` on. `corners` and `normals` are
+    in the order of the leaves, so that what is near in space is near in memory."""
     leaves = len(tree.triangle)
-    for i in range(first, last):
-        if len(partner) > 0 and start[i + 1] == start[i]:
+    for place in range(first * LEAF, last * LEAF):
+        i = tree.triangle[place // LEAF, place % LEAF]
+        if i < 0 or (len(partner) > 0 and start[i + 1] == start[i]):
             continue
-        low, high = row(corners[i], 0), row(corners[i], 0)
+        own = corners[place]
+        low, high = row(own, 0), row(own, 0)
         for k in range(1, 3):
-            x, y, z = row(corners[i], k)
+            x, y, z = row(own, k)
             low = min(low[0], x), min(low[1], y), min(low[2], z)
             high = max(high[0], x), max(high[1], y), max(high[2], z)
-        normal, found, node = row(normals, i), 0, 1
-        sides = _sides(corners[i], normal)
+        normal, found, node = row(normals, place), 0, 1
+        sides = _sides(own, normal)
         while node > 0:
             if (
                 tree.low[node, 0] <= high[0] + near and tree.high[node, 0] >= low[0] - near
@@ -115,10 +125,10 @@ def _pairs(
                     node *= 2
                     continue
                 for k in range(LEAF):
-                    t = tree.triangle[node - leaves, k]
-                    if t <= i or abs(dot(normal, row(normals, t))) < _PARALLEL:
+                    t, there = tree.triangle[node - leaves, k], (node - leaves) * LEAF + k
+                    if t <= i or abs(dot(normal, row(normals, there))) < _PARALLEL:
                         continue
-                    shared = _shared_area(corners[i], sides, normal, corners[t], near, inside, polygon)
+                    shared = _shared_area(own, sides, normal, corners[there], near, inside, polygon)
                     if shared > 0.0:
                         if len(partner) > 0:
                             partner[start[i] + found], area[start[i] + found] = t, shared
@@ -163,10 +173,12 @@ def _found(
 ) -> Overlaps:
     """Pairs up to `near` m apart that share an area, of which `inside` m beyond either outline count to it."""
     tree = make_box_tree(corners)
+    at = np.maximum(tree.triangle.ravel(), 0)
+    of_leaves, upright = corners[at], normals[at]
     start, partner, area = np.zeros(len(corners) + 1, np.int64), np.empty(0, np.int64), np.empty(0)
     for _ in range(2):  # they are counted, then noted
         over_rows(
-            _pairs, len(corners), tree, corners, normals, near, inside, start, partner, area,
+            _pairs, len(tree.triangle), tree, of_leaves, upright, near, inside, start, partner, area,
             scratch=lambda: np.empty((2, _MOST_CORNERS, 4)),
         )  # fmt: skip
         if len(partner) == 0:
@@ -175,26 +187,39 @@ def _found(
         if len(partner) == 0:
             return Overlaps(partner, partner, area, np.empty(0, bool))
     pairs = np.column_stack([np.repeat(np.arange(len(corners)), np.diff(start)), partner])
-    piece = _pieces(corners, normals, material)
-    size = np.round(np.log(np.bincount(piece, areas(corners))[piece]), 6)  # alike but for rounding
+    mixed = pairs[material[pairs[:, 0]] != material[pairs[:, 1]]]  # others sound alike
+    piece, size = _pieces(corners, normals, material, np.unique(mixed))
     rank = _ranks(size, material, table)
     swap = rank[pairs[:, 0]] < rank[pairs[:, 1]]
     below, above = np.where(swap, pairs[:, 1], pairs[:, 0]), np.where(swap, pairs[:, 0], pairs[:, 1])
     order = np.lexsort((rank[above], below))
     below, above, area = below[order], above[order], area[order]
     opposed = (normals[below] * normals[above]).sum(axis=1) < 0.0
-    contact = opposed & _bases(corners, piece)[above] & (size[above] < size[below])
+    contact = opposed & (size[above] < size[below]) & (material[above] != material[below])
+    if contact.any():
+        contact &= _bases(corners, piece, np.unique(piece[above[contact]]))[above]
     return Overlaps(below, above, area, contact)
 
 
-def _pieces(corners: np.ndarray, normals: np.ndarray, material: np.ndarray) -> np.ndarray:
-    """(F,) number of the piece of each triangle."""
+def _pieces(
+    corners: np.ndarray, normals: np.ndarray, material: np.ndarray, chosen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) number of the piece of each triangle, and the logarithm of its area, alike but for rounding; -1 and 0 of
+    those that cannot be of a piece with `chosen` triangles (n,)."""
+    piece, size = np.full(len(corners), -1), np.zeros(len(corners))
+    if len(chosen) == 0:
+        return piece, size
     main = np.abs(normals).argmax(axis=1)[:, None]
     upright = normals * np.sign(np.take_along_axis(normals, main, axis=1))
-    point = welded(corners, 4)[1]
-    columns = [point.ravel(), np.repeat(material, 3), *np.repeat(np.round(upright, 2), 3, axis=0).T]
+    rounded = np.rint(100.0 * upright).astype(np.int64)
+    key = rounded @ (1 << np.array([0, 10, 20])) + (material << 30)
+    some = np.flatnonzero(np.isin(key, key[chosen]))
+    point = welded(corners[some], 4)[1]
+    columns = [point.ravel(), np.repeat(material[some], 3), *np.repeat(rounded[some], 3, axis=0).T]
     of_corner = unique_rows(np.column_stack(columns))[1].reshape(-1, 3)
-    return pieces_of(of_corner, int(of_corner.max()) + 1)
+    piece[some] = pieces_of(of_corner, int(of_corner.max()) + 1)
+    size[some] = np.round(np.log(np.bincount(piece[some], areas(corners[some]))[piece[some]]), 6)
+    return piece, size
 
 
 def _ranks(size: np.ndarray, material: np.ndarray, table: MaterialTable) -> np.ndarray:
@@ -208,16 +233,21 @@ def _ranks(size: np.ndarray, material: np.ndarray, table: MaterialTable) -> np.n
     return rank
 
 
-def _bases(corners: np.ndarray, piece: np.ndarray) -> np.ndarray:
-    """(F,) whether triangles are of a piece from whose whole outline other faces rise: what a body stands on."""
-    point = welded(corners, 4)[1]
+def _bases(corners: np.ndarray, piece: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(F,) whether triangles are of one of the `chosen` pieces, and other faces rise from its whole outline: a body
+    stands on it."""
+    of_chosen = np.isin(piece, chosen)
+    low, high = lowest(corners), highest(corners)
+    near = (high >= low[of_chosen].min(axis=0) - 1e-3).all(axis=1)
+    some = np.flatnonzero(near & (low <= high[of_chosen].max(axis=0) + 1e-3).all(axis=1))
+    point = welded(corners[some], 4)[1]
     ends = np.sort(np.stack([point, np.roll(point, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
     edge = unique_rows(ends)[1]
-    of_edge = np.repeat(piece, 3)
+    of_edge = np.repeat(piece[some], 3)
     both = unique_rows(np.column_stack([edge, of_edge]))[1]
     alone = np.bincount(both)[both] == 1
     free = alone & (np.bincount(edge)[edge] == 1)
-    return ~np.isin(piece, of_edge[free])
+    return of_chosen & ~np.isin(piece, of_edge[free])
 
 
 def covers_of(corners: np.ndarray, normals: np.ndarray, overlaps: Overlaps) -> Covers:
