@@ -45,16 +45,22 @@ def longest_edges(corners: np.ndarray) -> np.ndarray:
     return np.asarray(((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1))
 
 
-def welded(corners: np.ndarray, decimals: int) -> tuple[np.ndarray, np.ndarray]:
-    """Corners that agree when rounded are one: (V, 3) rounded points, and (F, 3) rows of them."""
+def weld(points: np.ndarray, decimals: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) that agree when rounded are one: (V, 3) rounded points, and (n,) rows of them."""
     scale = 10.0**decimals
-    if not np.abs(corners).max(initial=0.0) * scale < 2**62:
-        rounded = np.round(corners.reshape(-1, 3), decimals)
+    if not np.abs(points).max(initial=0.0) * scale < 2**62:
+        rounded = np.round(points, decimals)
         first, row = unique_rows(rounded)
-        return rounded[first], row.reshape(-1, 3)
-    whole = np.rint(corners.reshape(-1, 3) * scale).astype(np.int64)
+        return rounded[first], row
+    whole = np.rint(points * scale).astype(np.int64)
     first, row = unique_rows(whole)
-    return whole[first] / scale, row.reshape(-1, 3)
+    return whole[first] / scale, row
+
+
+def welded(corners: np.ndarray, decimals: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same of corners: (V, 3) rounded points, and (F, 3) rows of them."""
+    points, row = weld(corners.reshape(-1, 3), decimals)
+    return points, row.reshape(-1, 3)
 
 
 def pieces_of(faces: np.ndarray, points: int) -> np.ndarray:

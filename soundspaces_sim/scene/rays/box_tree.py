@@ -26,17 +26,24 @@ class BoxTree(NamedTuple):
     triangle: np.ndarray  # (L, LEAF), -1 for none
 
 
+def _morton_order(points: np.ndarray) -> np.ndarray:
+    least = points.min(axis=0)
+    extent = float((points.max(axis=0) - least).max())
+    cell = ((points - least) * ((2**_BITS - 1) / max(extent, 1e-300))).astype(np.int64)
+    for shift, mask in _SPREAD:
+        cell = (cell | cell << shift) & mask
+    return np.argsort(cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2, kind="stable")
+
+
+def in_place_order(corners: np.ndarray) -> np.ndarray:
+    """(n,) rows of triangles (n, 3, 3) in an order in which those near each other in space are near in memory."""
+    return _morton_order(corners[:, 0])
+
+
 def make_box_tree(corners: np.ndarray) -> BoxTree:
     """The tree of (F, 3, 3) corners."""
     low, high = lowest(corners), highest(corners)
-    middle = 0.5 * (low + high)
-    least = middle.min(axis=0)
-    extent = float((middle.max(axis=0) - least).max())
-    cell = ((middle - least) * ((2**_BITS - 1) / max(extent, 1e-300))).astype(np.int64)
-    for shift, mask in _SPREAD:
-        cell = (cell | cell << shift) & mask
-    code = cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2
-    order = np.argsort(code, kind="stable")
+    order = _morton_order(0.5 * (low + high))
     leaves = 1 << max(int(np.ceil(np.log2(len(order) / LEAF))), 0)
     triangle = np.full(leaves * LEAF, -1)
     triangle[: len(order)] = order
@@ -54,6 +61,12 @@ def make_box_tree(corners: np.ndarray) -> BoxTree:
             nodes[first : 2 * first] = extreme(pairs[:, 0], pairs[:, 1])
         boxes.append(nodes)
     return BoxTree(*boxes, triangle.reshape(leaves, LEAF))
+
+
+def of_leaves(tree: BoxTree, rows: np.ndarray) -> np.ndarray:
+    """(L * LEAF, …) rows of the triangles (F, …) in the order of the leaves: what a search reads is then near in
+    memory. Where a leaf has none it is any row."""
+    return np.ascontiguousarray(rows[np.maximum(tree.triangle.ravel(), 0)])
 
 
 @part

@@ -14,7 +14,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, dot, length, row, subtract
 from soundspaces_sim.scene.materials import MaterialTable
-from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, make_box_tree
+from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, make_box_tree, of_leaves
 from soundspaces_sim.scene.rays.geometry import Covers, Geometry
 from soundspaces_sim.scene.triangles import (
     areas,
@@ -173,12 +173,11 @@ def _found(
 ) -> Overlaps:
     """Pairs up to `near` m apart that share an area, of which `inside` m beyond either outline count to it."""
     tree = make_box_tree(corners)
-    at = np.maximum(tree.triangle.ravel(), 0)
-    of_leaves, upright = corners[at], normals[at]
+    there, upright = of_leaves(tree, corners), of_leaves(tree, normals)
     start, partner, area = np.zeros(len(corners) + 1, np.int64), np.empty(0, np.int64), np.empty(0)
     for _ in range(2):  # they are counted, then noted
         over_rows(
-            _pairs, len(tree.triangle), tree, of_leaves, upright, near, inside, start, partner, area,
+            _pairs, len(tree.triangle), tree, there, upright, near, inside, start, partner, area,
             scratch=lambda: np.empty((2, _MOST_CORNERS, 4)),
         )  # fmt: skip
         if len(partner) == 0:

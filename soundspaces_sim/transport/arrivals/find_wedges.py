@@ -26,6 +26,7 @@ from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, row, scale
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.triangles import used_rows, weld
 from soundspaces_sim.transport.arrivals.plane_edges import Candidate, plane_edges
 from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point, no_wedges
 
@@ -142,10 +143,10 @@ class _Pieces(NamedTuple):
 
 
 def _pieces(vertices: np.ndarray, faces: np.ndarray) -> _Pieces:
-    used, faces = np.unique(faces, return_inverse=True)
-    rounded = np.round(vertices[used], _WELD)
-    first, row = unique_rows(rounded)
-    points, faces = rounded[first], row[faces.reshape(-1, 3)]
+    used = used_rows(faces, len(vertices))
+    row = np.empty(len(vertices), np.int64)
+    points, row[used] = weld(vertices[used], _WELD)
+    faces = row[faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     ends = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
     third = np.concatenate([faces[:, (k + 2) % 3] for k in range(3)])
@@ -155,8 +156,8 @@ def _pieces(vertices: np.ndarray, faces: np.ndarray) -> _Pieces:
     inward -= ((inward * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1))[:, None] * (b - a)
     width = np.linalg.norm(inward, axis=1)
     inward /= np.maximum(width, 1e-300)[:, None]
-    number = ends[:, 0] * len(points) + ends[:, 1]
-    _, side, count = np.unique(number, return_inverse=True, return_counts=True)
+    side = unique_rows(ends)[1]
+    count = np.bincount(side)
     total = np.stack([np.bincount(side, w, len(count)) for w in inward.T], axis=1)
     # Two unit vectors, x away from opposite, have a sum of length 2 sin(x / 2).
     flat = (count == 2) & (np.linalg.norm(total, axis=1) < 2.0 * np.sin(0.5 * MIN_ANGLE))

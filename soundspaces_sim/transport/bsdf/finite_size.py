@@ -190,8 +190,8 @@ def outlines(scene: Scene) -> np.ndarray:
     points, faces = welded(scene.corners - scene.center, 4)
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     face = np.repeat(np.arange(len(faces)), 3)
-    low, high = np.sort(ends, axis=1).T
-    _, side, count = np.unique(low * len(points) + high, return_inverse=True, return_counts=True)
+    side = unique_rows(np.sort(ends, axis=1))[1]
+    count = np.bincount(side)
     order = np.argsort(side, kind="stable")
     pair = order[(np.cumsum(count) - count)[count == 2][:, None] + [0, 1]]
     one, other = face[pair].T

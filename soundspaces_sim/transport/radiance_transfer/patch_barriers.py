@@ -12,7 +12,15 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
-from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, make_box_tree
+from soundspaces_sim.scene.rays.box_tree import (
+    LEAF,
+    BoxTree,
+    clip,
+    in_place_order,
+    inwards,
+    make_box_tree,
+    of_leaves,
+)
 
 _HEIGHT = 0.05  # m
 _SLOPE = 0.5  # a wall that leans over a piece by less than 27° at its outline leaves it free
@@ -55,13 +63,18 @@ def _reaches_in(
     for k in range(3):
         x = row(corners, k)
         height = side * dot(subtract(x, prism.a), prism.normal)
-        inset = _INSET * epsilon + _SLOPE * height
         polygon[0, k, 0] = height - least
         polygon[0, k, 1] = _HEIGHT - height
+    for plane in range(2):
+        if polygon[0, 0, plane] < 0.0 and polygon[0, 1, plane] < 0.0 and polygon[0, 2, plane] < 0.0:
+            return False
+    for k in range(3):
+        x = row(corners, k)
+        inset = _INSET * epsilon + _SLOPE * (polygon[0, k, 0] + least)
         polygon[0, k, 2] = dot(subtract(x, prism.a), prism.inwards[0]) - inset
         polygon[0, k, 3] = dot(subtract(x, prism.b), prism.inwards[1]) - inset
         polygon[0, k, 4] = dot(subtract(x, prism.c), prism.inwards[2]) - inset
-    for plane in range(5):
+    for plane in range(2, 5):
         if polygon[0, 0, plane] < 0.0 and polygon[0, 1, plane] < 0.0 and polygon[0, 2, plane] < 0.0:
             return False
     return clip(polygon, 5)[0] > 0
@@ -80,7 +93,7 @@ def _find_barriers(
     polygon: np.ndarray,
 ) -> None:
     """Set entries of `blocked` (n, 2) that are False, of `pieces` (n, 3, 3) of `normals` (n, 3), to whether one of
-    the triangles `corners` (F, 3, 3) reaches into the air on that side."""
+    the triangles `corners`, in the order of the tree's leaves, reaches into the air on that side."""
     leaves = len(tree.triangle)
     for i in range(first, last):
         look0, look1 = not blocked[i, 0], not blocked[i, 1]
@@ -108,8 +121,8 @@ def _find_barriers(
                     node *= 2
                     continue
                 for k in range(LEAF):
-                    t = tree.triangle[node - leaves, k]
-                    if t < 0:
+                    t = (node - leaves) * LEAF + k
+                    if tree.triangle[node - leaves, k] < 0:
                         break
                     if look0 and _reaches_in(prism, epsilon, 1.0, corners[t], polygon):
                         look0, blocked[i, 0] = False, True
@@ -126,14 +139,20 @@ class Barriers:
     `Geometry`."""
 
     def __init__(self, corners: np.ndarray, epsilon: float) -> None:
-        self._tree, self._corners, self._epsilon = make_box_tree(corners), corners, epsilon
+        self._tree, self._epsilon = make_box_tree(corners), epsilon
+        self._corners = of_leaves(self._tree, corners)
 
     def find(self, pieces: np.ndarray, normals: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """(n, 2) whether something parts `pieces` (n, 3, 3) in front of and behind their unit `normals` (n, 3),
         about which they turn to the left; False where it is not `wanted` (n, 2)."""
-        blocked = ~wanted
-        arguments = self._tree, self._corners, pieces, normals, self._epsilon, blocked
+        if len(pieces) == 0:
+            return wanted
+        order = in_place_order(pieces)
+        blocked = ~wanted[order]
+        arguments = self._tree, self._corners, pieces[order], normals[order], self._epsilon, blocked
         over_rows(
             _find_barriers, len(pieces), *arguments, scratch=lambda: np.empty((2, _MOST_CORNERS, 5))
         )
-        return blocked & wanted
+        found = np.empty_like(blocked)
+        found[order] = blocked
+        return found & wanted
