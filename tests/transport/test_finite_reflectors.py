@@ -8,6 +8,7 @@ import pytest
 from scipy.special import fresnel
 
 import soundspaces_sim as ss
+from tests.marks import ci_slow
 from tests.rooms import edges_alone, table
 from tests.transport.exact_wedge import SPEED, band_energies, band_wave_numbers, diffracted
 from tests.transport.test_diffraction import CONFIG, THIRDS
@@ -133,6 +134,7 @@ def test_a_reflection_bends_over_a_screen() -> None:
     assert np.abs(off).max() < 0.5, off
 
 
+@ci_slow
 def test_a_reflection_slides_into_the_shadow_of_an_edge() -> None:
     """A screen hangs above a floor and hides the ends from each other; the reflection under it rises past its edge:
     arrivals, added as pressures, against the exact wedge with both ends and their images."""

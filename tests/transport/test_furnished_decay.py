@@ -14,6 +14,7 @@ import trimesh
 import soundspaces_sim as ss
 from soundspaces_sim.echogram.measures import echograms_measures
 from soundspaces_sim.scene.enclosure import closedness
+from tests.marks import ci_slow
 
 _BANDS = (88.0, 355.0)  # where air absorbs next to nothing
 _STEP = 0.002  # s
@@ -66,6 +67,7 @@ def _walk(scene: ss.Scene, start: np.ndarray, seed: int, rays: int = 4000) -> fl
     return _times(np.cumsum(energy)[:-2])
 
 
+@ci_slow
 def test_a_furnished_room_decays_as_a_walk_in_numpy() -> None:
     scene = _scene()
     rng = np.random.default_rng(3)

@@ -158,6 +158,7 @@ def test_how_far_compensated_energies_rise() -> None:
     assert rise(few, np.concatenate([[0.01], np.ones(20000)])[:, None], np.zeros(1)) < 1e-3
 
 
+@ci_slow
 def test_a_room_that_decays_with_two_slopes() -> None:
     """Room 9 of a stream of all kinds, with two talkers: some sound stays between hard walls, which few subpaths tell.
     Compensated for the decay of the rest it rose by 19 nepers, and the room was refused on 2026-11-26."""

@@ -97,6 +97,7 @@ def test_default_asks_for_an_error_and_says_what_became_of_it(caplog: pytest.Log
     assert len(fixed.notes) == 1 and "transfer subpaths from each" in fixed.notes[0]
 
 
+@ci_slow
 def test_a_pair_has_the_same_rounds_in_any_company() -> None:
     """With shared transfer subpaths, which are those of any number of points."""
     scene = two_rooms(MIXED, 1)

@@ -19,6 +19,7 @@ from soundspaces_sim.transport.waves.scheme import WaveScene, make_wave_scene
 from soundspaces_sim.transport.waves.solve import Placed, _source_taps, listener_taps, simulate
 from soundspaces_sim.transport.waves.spectrum import pulse
 from soundspaces_sim.transport.waves.stepping import Taps, advance, still
+from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, table
 
 C = 343.0
@@ -44,7 +45,14 @@ def _box_modes(size: tuple[float, float, float], count: int) -> np.ndarray:
     return np.sort(0.5 * C * np.sqrt(((n / size) ** 2).sum(axis=1)))[1 : count + 1]
 
 
-@pytest.mark.parametrize("size", [(4.1, 3.3, 2.55), (2.93, 3.21, 2.47), (3.0, 3.0, 3.0)])
+@pytest.mark.parametrize(
+    "size",
+    [
+        (4.1, 3.3, 2.55),
+        pytest.param((2.93, 3.21, 2.47), marks=CI_SLOW),
+        pytest.param((3.0, 3.0, 3.0), marks=CI_SLOW),
+    ],
+)
 def test_modes_of_a_rigid_box(size: tuple[float, float, float]) -> None:
     """Within .25 %, whatever its walls are to the lattice."""
     exact = _box_modes(size, 16)
@@ -178,6 +186,7 @@ def _mouth(side: float, neck: float, length: float, modes: int) -> float:
     return float(C * brentq(off, 0.05, 1.0) / (2.0 * np.pi))
 
 
+@ci_slow
 def test_a_resonator_of_two_cavities_and_a_neck() -> None:
     """Against mode matching. The neck's sides lie where links end, up to half a cell off, and the field is singular at
     its mouths: 5.5 cells across are within 2 %."""
@@ -213,6 +222,7 @@ def test_a_resonator_of_two_cavities_and_a_neck() -> None:
     assert found == pytest.approx(exact, rel=0.02)
 
 
+@ci_slow
 def test_convergence_is_of_second_order() -> None:
     """Modes of a rigid box whose walls lie anywhere between cells: errors fall with the square of the spacing or faster,
     in the mean over boxes."""
