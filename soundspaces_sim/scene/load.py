@@ -18,6 +18,7 @@ from soundspaces_sim.scene.beside import with_frame_beside
 from soundspaces_sim.scene.ceiling import add_ceiling
 from soundspaces_sim.scene.formats import FORMATS, accepted, find_format
 from soundspaces_sim.scene.frame import DOUBT, to_scene_frame
+from soundspaces_sim.scene.holes import close_holes
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.labels import LabelMap, assign_materials, load_labels
 from soundspaces_sim.scene.materials import MaterialTable, stack_materials
@@ -138,6 +139,7 @@ def load_scene(
     mesh = to_scene_frame(_read(source, up is not None and unit is not None), up, unit)
     if decimate is not None:
         mesh = decimate_mesh(mesh, decimate)
+    mesh = close_holes(mesh)
     own = mesh.materials
     table = stack_materials(materials, own.values())
     label_map = load_labels(labels, {label: given.names[0] for label, given in own.items()})

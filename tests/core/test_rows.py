@@ -23,7 +23,7 @@ def test_integers_of_any_size(most: int) -> None:
     """Three of 20 bits fit into one number, larger ones do not."""
     rng = np.random.default_rng(0)
     rows = rng.integers(-most, most, (50, 3))[rng.integers(0, 50, 400)]
-    unique, index, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    _, index, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     first, of_row = unique_rows(rows)
     np.testing.assert_array_equal(first, index)
     np.testing.assert_array_equal(of_row, inverse.ravel())

@@ -222,4 +222,5 @@ def test_aws_small_house(shared: Path) -> None:
 def test_raw_scan(shared: Path) -> None:
     scene = ss.load_scene(shared / "scenes" / "riken_office" / "WACRO8.obj")
     assert 2.0 < scene.bounds[1, 2] - scene.bounds[0, 2] < 4.0
-    assert len(scene.notes) == 4 and "ceiling=False" in scene.notes[3]
+    assert len(scene.notes) == 5 and "ceiling=False" in scene.notes[4]
+    assert "holes of up to 0.6 m" in scene.notes[3]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
 from soundspaces_sim.transport.arrivals.wedges import Wedges
 from tests.marks import CI_SLOW
@@ -83,8 +84,53 @@ def test_an_empty_scanned_room_has_no_edges_inside() -> None:
     assert not ((middle > low + 0.1) & (middle < high - 0.1)).all(axis=1).any()
 
 
+def _scanned(clean: ss.Scene, triangles: int, noise: float) -> ss.Scene:
+    """A scan of a scene as a user loads it."""
+    scan = scan_of(clean, triangles, noise)
+    return _unlabelled(
+        ss.load_scene(
+            LabelledMesh(scan.vertices, scan.faces, (), np.full(len(scan.faces), -1), scan.name)
+        )
+    )
+
+
+def _up_to(scene: ss.Scene, points: np.ndarray, until: np.ndarray) -> np.ndarray:
+    """(pairs, 4) J/m², until (pairs,) s."""
+    echoes = ss.simulate(scene, points, points, ss.SimulationConfig(walks=3000, duration=0.4), seed=1)
+    edges, pairs = echoes.time_edges, [(i, j) for i in range(len(points)) for j in range(i)]
+    rows = []
+    for (i, j), end in zip(pairs, until, strict=True):
+        share = np.clip((end - edges[:-1]) / np.diff(edges), 0.0, 1.0)
+        arrivals = [a.energy for a in echoes[i, j].arrivals if a.delay < end]
+        rows.append(share @ echoes.energy[i, j, :, 0] + np.sum(arrivals or [np.zeros(4)], axis=0))
+    return np.array(rows)
+
+
+@pytest.mark.slow
+def test_a_scan_with_missing_triangles_sounds_as_its_mesh() -> None:
+    """The demo of 384,000 triangles, 5 mm of noise, 3 % missing, 24 points: out of sight the 50 ms from the first
+    arrival on are within 1.5 dB rms of the clean mesh's, of which another seed's are 1.2 dB; in sight within 0.5 dB."""
+    clean = _unlabelled(ss.load_scene("demo"))
+    points = _places_of(clean)
+    found = _found(clean, points)
+    until = np.array([min((a.delay for a in of_pair), default=np.nan) + 0.05 for of_pair in found])
+    seen = np.array([any(not a.planes and not a.edges for a in of_pair) for of_pair in found])
+    scan = _scanned(clean, 384_000, 0.005)
+    level = 10.0 * np.log10(_up_to(scan, points, until) / _up_to(clean, points, until))
+    assert seen.sum() > 50 and (~seen).sum() > 100
+    assert (np.sqrt((level[~seen] ** 2).mean(axis=0)) < 1.5).all()
+    assert (np.sqrt((level[seen] ** 2).mean(axis=0)) < 0.5).all()
+
+
 def _unlabelled(scene: ss.Scene) -> ss.Scene:
     return ss.Scene.from_arrays(scene.vertices, scene.faces, 0.2, 0.3, name=scene.name)
+
+
+def _places_of(scene: ss.Scene) -> np.ndarray:
+    """(24, 3) m, here and there."""
+    points = ss.make_grid(scene, 1.0).points
+    points = points[np.linspace(0, len(points) - 1, 24).astype(int)]
+    return np.asarray(points + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape))
 
 
 def _found(scene: ss.Scene, points: np.ndarray) -> list[list[ss.Arrival]]:
@@ -101,10 +147,8 @@ def test_first_arrivals_of_a_scan_are_those_of_its_mesh(name: str, triangles: in
     """24 points, pairs out of sight: four of five first arrivals come within 1 ms of the clean mesh's, and 97 of 100 pairs
     that have one there have one."""
     clean = _unlabelled(ss.load_scene(name))
-    points = ss.make_grid(clean, 1.0).points
-    points = points[np.linspace(0, len(points) - 1, 24).astype(int)]
-    points = points + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape)
-    scan, later = scan_of(clean, triangles, noise), []
+    points = _places_of(clean)
+    scan, later = _scanned(clean, triangles, noise), list[float]()
     for one, other in zip(_found(clean, points), _found(scan, points), strict=True):
         if not one or any(not a.planes and not a.edges for a in one):
             continue
