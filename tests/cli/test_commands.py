@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
+from soundspaces_sim.cli import neighbours
 from soundspaces_sim.cli.app import app
 
 SCENE_OPTIONS = (
@@ -95,12 +97,11 @@ def test_scene_options_reach_the_scene(tmp_path: Path) -> None:
 
 def test_a_neighbours_command_is_handed_over_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By an entry point of a distribution of its own, with all that follows the command; else it is said."""
+    found: list[EntryPoint] = []  # whatever is installed beside the package
+    monkeypatch.setattr(neighbours, "entry_points", lambda **_: found)
     with pytest.raises(ss.ConfigError, match="not installed"):
         raise CliRunner().invoke(app, ["explore", "demo"]).exception or AssertionError
-    folder = tmp_path / "some_explorer-1.dist-info"
-    folder.mkdir()
-    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: some-explorer\nVersion: 1\n")
-    (folder / "entry_points.txt").write_text("[soundspaces_sim.commands]\nexplore = some_explorer:app\n")
+    found.append(EntryPoint("explore", "some_explorer:app", neighbours.GROUP))
     (tmp_path / "some_explorer.py").write_text(
         "import typer\napp = typer.Typer()\n@app.command()\n"
         "def explore(scene: str, port: int = 0) -> None:\n    print(scene, port)\n"
