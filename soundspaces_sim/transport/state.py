@@ -89,7 +89,7 @@ class VertexRow(Protocol):
 
 
 #: What a point's subpaths count: `reflections` are rows of `ReflectionBlock`; rays and deposits, for the profile.
-TALLY = np.dtype([(name, np.int64) for name in ("segments", "reflections", "rays", "deposits")])
+TALLY = np.dtype([(name, np.int64) for name in ("reflections", "rays", "deposits")])
 
 
 class Emitters(NamedTuple):

@@ -1,7 +1,8 @@
 """Random streams: SplitMix64 (Steele, Lea, Flood 2014), one explicit state per subpath or pair.
 
 A stream is keyed by what it is for (seed, position of the point, index of the subpath), never by thread
-or by order, so results do not depend on how work is divided.
+or by order, and its numbers are read by event, not counted while they are drawn: results do not depend on how work
+is divided.
 """
 
 import numpy as np
@@ -35,6 +36,16 @@ def uniform(state: np.uint64) -> tuple[np.uint64, float]:
     """Advance a stream: (next state, uniform number in [0, 1))."""
     state = np.uint64(state) + _GAMMA
     return state, np.float64(mix64(state) >> _S11) * _TO_UNIT
+
+
+@part(forceinline=True)
+def event_uniforms(stream: np.uint64, event: int) -> tuple[float, float, float]:
+    """The three uniform numbers of a stream that belong to an event (from 1)."""
+    at = np.uint64(stream) + np.uint64(3 * event - 3) * _GAMMA
+    at, u = uniform(at)
+    at, v = uniform(at)
+    at, w = uniform(at)
+    return u, v, w
 
 
 @part(forceinline=True)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.rng import uniform
+from soundspaces_sim.core.numerics.rng import event_uniforms
 from soundspaces_sim.core.numerics.vec3 import dot
 from soundspaces_sim.scene.rays.geometry import Geometry, Hit, before, intersect
 from soundspaces_sim.transport import bsdf
@@ -126,10 +126,7 @@ def sample_bsdf(
     The law's factor of the angle of departure is left to the caller (`apply_departure`).
     """
     state, material = paths.state[i], hit.material
-    stream, u = uniform(state.stream)
-    stream, v = uniform(stream)
-    stream, w = uniform(stream)
-    state.stream = stream
+    u, v, w = event_uniforms(state.stream, state.events)
     lobe = choose_lobe(surfaces, material, state.proposal, state.events, u)
     if lobe < 0 or not update_throughput(
         surfaces, material, lobe, cos_in, state.events, paths.beta[i], paths.mixture[i]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.rng import combine, uniform
+from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, negate, row, subtract
 from soundspaces_sim.scene.rays.geometry import in_sight, unoccluded
 from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
@@ -214,8 +214,8 @@ def connect_vertices(
 
 
 @part
-def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, stream: int) -> None:
-    """All connections of a pair; `stream` decides which vertices are connected to which."""
+def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, key: int) -> None:
+    """All connections of a pair; `key` decides which vertices are connected to which."""
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
     returned = PairOutput(  # q plays p
         out.to_p, out.to_q, out.batches, out.energy, out.arrival, out.counts, out.scores, out.tally
@@ -228,7 +228,7 @@ def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, strea
             connect_vertex_to_point(world, p, index, i, q, out)
             if n_q == 0:
                 continue
-            stream, u = uniform(stream)
+            u = hashed_uniform(combine(key, index), i)
             j = min(int(u * n_q), n_q - 1)
             connect_vertices(world, p, index, i, q, other, j, out)
         for i in range(of_q.count[index]):

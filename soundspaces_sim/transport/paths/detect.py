@@ -37,8 +37,7 @@ class Segment(NamedTuple):
     start_length: float  # m, of the subpath at the origin
     shortest: float  # m: shorter paths are left to another estimator, …
     longest: float  # … and so are longer ones
-    key: int  # of random numbers, with …
-    number: int  # … this one among the segments of a point
+    key: int  # of random numbers, with the number of `events`
     batch: int
     share: float  # 1 / number of subpaths
     events: int  # so far
@@ -80,7 +79,7 @@ def chord_in_detector(
         return 0.0
     if radius <= detectors.clearance[i]:
         return t1 - t0
-    u = hashed_uniform(segment.key ^ detectors.keys[i], segment.number)
+    u = hashed_uniform(segment.key ^ detectors.keys[i], segment.events)
     place = along(segment.origin, t0 + u * (t1 - t0), segment.direction)
     point = row(detectors.points, i)
     v = subtract(place, point)

@@ -24,7 +24,7 @@ PATH = np.dtype(
         ("d_vcm", np.float64),
         ("a", np.float64),
         ("b", np.float64),  # see `mis.PartialSums`
-        ("stream", np.uint64),  # random stream
+        ("stream", np.uint64),  # random stream, whose numbers are read by `events`
         ("index", np.int64),  # number among the subpaths of its point
         ("proposal", np.int64),  # that it follows, row of `Surfaces.proposal`
         ("material", np.int64),
@@ -176,7 +176,8 @@ def start_path(state: PathRow, origin: Vec3, direction: Vec3) -> None:
 
 @part
 def copy_path(paths: Paths, source: int, target: int, number: int) -> None:
-    """Slot `target` becomes copy `number` of slot `source`, with a random stream of its own."""
+    """Slot `target` becomes copy `number` of slot `source`, with a random stream of its own; no other copy of the
+    source has this number, nor 0 or 1."""
     paths.state[target] = paths.state[source]
     paths.state[target].stream = combine(paths.state[source].stream, number)
     copy(paths.beta[source], paths.beta[target])

@@ -55,9 +55,9 @@ def _shares(paths: Paths, settings: Settings, limit: float) -> tuple[int, float]
 
 
 @part
-def resample(paths: Paths, settings: Settings, limit: float, u: float, most: int) -> None:
-    """Copy heavy subpaths into the slots of light and dead ones, of which at most `most` stay in use; `u` uniform
-    in [0, 1)."""
+def resample(paths: Paths, settings: Settings, limit: float, stage: int, u: float, most: int) -> None:
+    """Copy heavy subpaths into the slots of light and dead ones, of which at most `most` stay in use; `stage`, from
+    1, numbers the calls, `u` is uniform in [0, 1)."""
     slots, squares = _shares(paths, settings, limit)
     if squares <= 0.0 or (slots <= most and 1.0 / squares >= _KEEP * slots):
         return
@@ -82,7 +82,7 @@ def resample(paths: Paths, settings: Settings, limit: float, u: float, most: int
         for number in range(1, paths.copies[i]):
             while paths.copies[free] > 0:
                 free += 1
-            copy_path(paths, i, free, number)
+            copy_path(paths, i, free, stage * len(paths.alive) + number)
             paths.copies[free] = 1
     for i in range(len(paths.alive)):
         if surplus > 0 and paths.copies[i] == 0:

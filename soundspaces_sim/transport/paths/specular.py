@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
+from soundspaces_sim.core.numerics.rng import combine, event_uniforms, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, put, row
 from soundspaces_sim.scene.rays.directions import stratified_pair
 from soundspaces_sim.scene.rays.geometry import Hit
@@ -116,7 +116,6 @@ class _Context(NamedTuple):
     tables: Tables  # of the point
     block: ReflectionBlock
     p: int  # the point's row of `block`
-    key: int  # of random numbers
     batch: int
 
 
@@ -140,13 +139,12 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
             origin=origin_of(state), direction=direction,
             end=min(hit.distance, settings.max_length - state.length), start_length=state.length,
             shortest=settings.late_length if state.scattered else 0.0, longest=math.inf,
-            key=context.key, number=tally.segments, batch=context.batch, share=1.0 / settings.specular,
+            key=state.stream, batch=context.batch, share=1.0 / settings.specular,
             # Delta events leave a and b as they are; so do Lambertian ones, without connections, as here.
             events=state.events, sums=mis.start(settings.kappa), material=-1, incident=nowhere, normal=nowhere,
         )  # fmt: skip
         carried = Carried(paths.beta[i], paths.first[i], paths.counts[i], paths.scores[i])
         pass_detectors(context.world, context.receivers, segment, carried, scratch, context.tables)
-    tally.segments += 1
 
 
 @part(forceinline=True)
@@ -183,10 +181,10 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
         patch = patch_at(world.patches, geometry, hit.triangle, hit.point, hit.normal)
         if patch >= 0:
             _store_reflection(context, paths, i, hit, patch)
-    stream = combine(context.key, 2 * context.scratch.tally[0].segments)
+    u, v, w = event_uniforms(state.stream, state.events)
     scatter = world.settings.radiance_transfer and patch < 0
     cos = cos_incidence(state, hit)
-    lobe = sample_split(surfaces, material, cos, scatter, paths.beta[i], hashed_uniform(stream, 0))
+    lobe = sample_split(surfaces, material, cos, scatter, paths.beta[i], u)
     if lobe < 0:
         return False
     if not is_delta(lobe):
@@ -200,8 +198,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     if state.reflections == 1:
         state.first_plane = plane
     state.back = state.reflections == ORDER + 1 and plane == state.first_plane
-    uv = hashed_uniform(stream, 1), hashed_uniform(stream, 2)
-    spawn_ray(geometry, surfaces, state, hit, lobe, uv, paths.beta[i])
+    spawn_ray(geometry, surfaces, state, hit, lobe, (v, w), paths.beta[i])
     apply_departure(surfaces, material, paths, i, hit, lobe)
     return True
 
@@ -246,11 +243,13 @@ def _start(work: _Work, point: Vec3, key: int, batch: int, directions: np.ndarra
     paths.counts[:] = 0
     paths.scores[:] = 0.0
     u0, v0 = hashed_uniform(key, 4 * batch + 1), hashed_uniform(key, 4 * batch + 3)
+    batch_key = combine(key, batch)
     for i in range(len(paths.state)):
         u, v = stratified_pair(i, u0, v0)
         direction, density, _ = sample_guided(work.guide, u, v)
         harmonics(direction[0], direction[1], direction[2], paths.first[i])
         start_path(paths.state[i], point, direction)
+        paths.state[i].stream = combine(batch_key, 2 * i)
         put(directions, i, direction)
         work.roulette.active[i] = i
         for b in range(paths.beta.shape[1]):
@@ -292,9 +291,9 @@ def _trace(
         point = row(emitters.points, p)
         key = combine(emitters.keys[p], _STREAM)
         learn_guide(world, point, key, work.guide, work.pilots)
-        scratch.tally[0].segments, scratch.tally[0].reflections = 0, 0
+        scratch.tally[0].reflections = 0
         for batch in range(BATCHES):
-            context = _Context(world, receivers, scratch, out, block, p, key, batch)
+            context = _Context(world, receivers, scratch, out, block, p, batch)
             _start(work, point, key, batch, block.direction[p, batch])
             active, limit, stage = len(work.paths.state), 0.0, 0
             batch_key = combine(key, batch)

@@ -99,7 +99,6 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
         shortest=0.0,
         longest=context.longest,
         key=state.stream,
-        number=tally.segments,
         batch=state.index % BATCHES,
         share=1.0 / settings.subpaths,
         events=state.events,
@@ -110,7 +109,6 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     )
     carried = Carried(paths.beta[i], paths.first[i], paths.counts[i], paths.scores[i])
     pass_detectors(context.world, context.receivers, segment, carried, scratch, context.tables)
-    tally.segments += 1
 
 
 @part(forceinline=True)
@@ -248,7 +246,6 @@ def trace_subpaths(
         for index in range(settings.connected):
             direction = emit(key, index)
             harmonics(direction[0], direction[1], direction[2], context.vertices.first[index])
-        scratch.tally[0].segments = 0
         for batch in range(BATCHES):
             _start(paths, world, key, batch)
             limit, stage = 0.0, 0
@@ -258,7 +255,7 @@ def trace_subpaths(
                 if not _advance_all(context, paths, row(emitters.points, p), limit):
                     break
                 draw = hashed_uniform(combine(key, 2 * batch + 1), 2 + stage)
-                resample(paths, settings, limit, draw, len(paths.alive))
+                resample(paths, settings, limit, stage, draw, len(paths.alive))
 
 
 def make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) -> tuple[Paths, Scratch]:

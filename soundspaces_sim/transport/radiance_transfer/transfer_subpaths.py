@@ -239,7 +239,8 @@ def _trace(
             if not any_alive:
                 break
             most = int(math.ceil(len(paths.alive) * max(min(_ALL_UPTO / limit, 1.0), _LEAST_LEFT)))
-            resample(paths, settings, limit, hashed_uniform(combine(row_key, 1), stage), most)
+            draw = hashed_uniform(combine(row_key, 1), stage)
+            resample(paths, settings, limit, stage, draw, most)
 
 
 def trace_populations(world: World, populations: Populations, pilots: Populations | None) -> _Events:
