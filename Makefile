@@ -32,7 +32,7 @@ HOMES ?= 1000
 NEIGHBOURS := $(patsubst neighbours/%/pyproject.toml,%,$(wildcard neighbours/*/pyproject.toml))
 
 .DEFAULT_GOAL := help
-.PHONY: help install rirs explore collection figures listen nav docs check test test-slow test-lowest test-extras test-neighbours test-clients lint bench validate wheels pytest clean
+.PHONY: help install rirs explore collection figures listen nav docs check test test-slow test-lowest test-arrays test-extras test-neighbours test-clients lint bench validate wheels pytest clean
 
 help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
@@ -131,7 +131,10 @@ test-slow: $(VENV)/.tested ## Long physics runs
 test-lowest: $(VENV)/.tested ## A small dataset by the lowest versions that pyproject.toml allows, read by the newest and back, in .venv-lowest
 	$(BIN)/python -m tests.lowest $(ARGS)
 
-test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, learning, in .venv-extras (ARGS=GROUP for one)
+test-arrays: $(VENV)/.tested ## The engine's tests with rays from arrays, as on machines without Embree
+	SOUNDSPACES_SIM_RAYS=arrays $(BIN)/python -m pytest tests/transport tests/scene tests/echogram $(ARGS)
+
+test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, learning, PTX, in .venv-extras (ARGS=GROUP for one)
 	$(PYTHON) -m tests.extras --torch-index "$(TORCH_INDEX)" $(ARGS)
 
 test-neighbours: $(VENV)/.neighbours ## The tests of what lies in neighbours/, each installed there

@@ -41,8 +41,8 @@ class SkippedError(Exception):
 
 @dataclass(frozen=True)
 class Group:
-    """Extras of pyproject.toml, the tests that need them, and what must be there before anything is installed;
-    `slow`: those of them that are marked so run as well."""
+    """Extras of pyproject.toml, `packages` that are no extra, the tests that need them, and what must be there before
+    anything is installed; `slow`: those of them that are marked so run as well."""
 
     extras: str
     tests: tuple[str, ...]
@@ -50,6 +50,7 @@ class Group:
     check: Callable[[], None] = lambda: None
     torch: bool = False
     slow: bool = False
+    packages: tuple[str, ...] = ()
 
 
 def check_browser() -> None:
@@ -79,6 +80,7 @@ GROUPS = {
         ),
         torch=True,
     ),
+    "ptx": Group("", ("tests/scene/test_ptx.py",), packages=("numba-cuda[cu13]",)),
 }
 
 
@@ -103,7 +105,7 @@ def install(python: Path, group: Group, torch_index: str) -> None:
             _install(python, *torch_cpu.arguments(str(python), torch_index))
         except LookupError as why:
             raise SkippedError(str(why)) from None
-    _install(python, "-e", f".[{group.extras}]")
+    _install(python, *group.packages, "-e", f".[{group.extras}]" if group.extras else ".")
 
 
 def absent(results: Path) -> list[str]:

@@ -2,15 +2,17 @@
 
 Question: How many responses per second does a device make, beside the reader and beside others' programs?
 
-Method: 2,048 random pairs of the demo apartment (100 subpaths, echograms kept on the device), in batches, 1 s at 16
-kHz, by the clock after a batch that is not counted; every answer is on the device when the clock stops. The reader
-in as many threads as the process has cores. Shoeboxes of pyroomacoustics (image sources to order 10) and torchrir
-(the same), where they are installed, with one microphone. `python -m benchmarks run speed.torch_rendering -- cuda`
-takes a GPU; with `cpu` (the default) it is what the processor does.
+Method: Random pairs of the demo apartment (100 subpaths, echograms kept on the device), in batches of 256, 1 s at
+16 kHz. Ways of rendering take turns, and each has the best of its rounds by the clock, after one that is not
+counted, for other work on the machine only ever takes time; every answer is on the device when the clock stops. The
+reader in as many threads as the process has cores. Shoeboxes of pyroomacoustics (image sources to order 10), of
+torchrir (the same) and of FRA-RIR (a random approximation, from a checkout on the path), where they are installed,
+with one microphone. `python -m benchmarks run speed.torch_rendering -- cuda` takes a GPU; with `cpu` (the default)
+it is what the processor does.
 
 Amortised: Opening the dataset, copying it to the device, designing filters.
 
-Takes: 3 minutes.
+Takes: 3 minutes. Arguments: the device, rounds (5), pairs of a round (256; of a GPU 2,048).
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from soundspaces_sim.core.numerics.kernel import core_count
 
 _BATCH = 256
 _SIZE, _SOURCE, _MICROPHONE = [6.0, 5.0, 2.7], [1.5, 1.2, 1.4], [4.1, 3.3, 1.6]
-_ORDER, _RATE, _SHOEBOXES = 10, 16000, 20
+_ORDER, _RATE, _SHOEBOXES, _T60 = 10, 16000, 20, 0.6
 
 
 def build(out: Path) -> Path:
@@ -41,18 +43,16 @@ def build(out: Path) -> Path:
     return ss.build_dataset(ss.load_scene("demo"), out, job).folder
 
 
-def _rate(make: Callable[[np.ndarray], Any], pairs: np.ndarray, wait: Callable[[], None]) -> float:
-    """Responses per second."""
-    make(pairs[:_BATCH])
-    wait()
+def _seconds(make: Callable[[np.ndarray], Any], pairs: np.ndarray, wait: Callable[[], None]) -> float:
+    """By the clock, for all pairs."""
     start = time.perf_counter()
     for first in range(0, len(pairs), _BATCH):
         make(pairs[first : first + _BATCH])
     wait()
-    return len(pairs) / (time.perf_counter() - start)
+    return time.perf_counter() - start
 
 
-def _of_dataset(folder: Path, device: str, count: int) -> list[tuple[object, ...]]:
+def _of_dataset(folder: Path, device: str, rounds: int, count: int) -> list[tuple[object, ...]]:
     import torch
 
     import soundspaces_sim.torch as for_torch
@@ -61,7 +61,6 @@ def _of_dataset(folder: Path, device: str, count: int) -> list[tuple[object, ...
         if device != "cpu":
             torch.cuda.synchronize()
 
-    rows: list[tuple[object, ...]] = []
     with ss.open_dataset(folder, rate=_RATE) as ds:
         pairs = ds.sample(count, 0)
         renderer = for_torch.Renderer(ds, device)
@@ -82,10 +81,17 @@ def _of_dataset(folder: Path, device: str, count: int) -> list[tuple[object, ...
                 speech[: len(p)], p
             ),
         }
-        for name, make in makers.items():
-            some = pairs[:_BATCH] if name.startswith("reader") else pairs
-            rows.append((name, _rate(make, some, wait)))
-    return rows
+        best = dict.fromkeys(makers, np.inf)
+        for turn in range(rounds + 1):
+            for name, make in makers.items():
+                some = pairs[:_BATCH] if name.startswith("reader") else pairs
+                taken = _seconds(make, some, wait) / len(some)
+                best[name] = min(best[name], taken if turn > 0 else np.inf)
+    rates = [1.0 / seconds for seconds in best.values()]
+    of_reader = [rates[0], rates[1], *rates[:2], rates[1]]
+    return [
+        (name, rate, rate / beside) for name, rate, beside in zip(makers, rates, of_reader, strict=True)
+    ]
 
 
 def _shoeboxes(device: str) -> list[tuple[object, ...]]:
@@ -100,26 +106,32 @@ def _shoeboxes(device: str) -> list[tuple[object, ...]]:
             room.add_microphone(_MICROPHONE)
             room.compute_rir()
 
-        rows.append(("pyroomacoustics, shoebox, order 10, one microphone", _repeated(one)))
+        rows.append(("pyroomacoustics, shoebox, order 10, one microphone", _repeated(one), None))
     if find_spec("torchrir"):
-        import torch
         import torchrir
+        from torchrir.config import SimulationConfig
+        from torchrir.sim import simulate
 
-        def two() -> None:
-            room = torchrir.Room.shoebox(_SIZE, fs=_RATE, beta=[0.8**0.5] * 6, device=device)
-            torchrir.simulate_rir(
-                room=room,
-                sources=torch.tensor([_SOURCE], device=device),
-                mics=torch.tensor([_MICROPHONE], device=device),
-                max_order=_ORDER,
-                nsample=_RATE,
-            )
+        room = torchrir.Room.shoebox(size=_SIZE, fs=_RATE, beta=[0.8**0.5] * 6)
+        scene = torchrir.StaticScene(
+            room=room,
+            sources=torchrir.Source.from_positions([_SOURCE]),
+            mics=torchrir.MicrophoneArray.from_positions([_MICROPHONE]),
+        )
+        config = SimulationConfig(max_order=_ORDER, nsample=_RATE, device=device)
+        made = _repeated(lambda: simulate(scene, config))
+        rows.append((f"torchrir on {device}, shoebox, order 10, one microphone", made, None))
+    if find_spec("FRAM_RIR"):
+        from FRAM_RIR import FRAM_RIR
 
-        rows.append((f"torchrir on {device}, shoebox, order 10, one microphone", _repeated(two)))
+        ends = np.array([_MICROPHONE]), np.array([_SOURCE])
+        made = _repeated(lambda: FRAM_RIR(ends[0], _RATE, _T60, np.array(_SIZE), ends[1]))
+        rows.append((f"FRA-RIR, T60 of {_T60} s, one microphone", made, None))
     return rows
 
 
-def _repeated(make: Callable[[], None]) -> float:
+def _repeated(make: Callable[[], Any]) -> float:
+    """Per second."""
     make()
     start = time.perf_counter()
     for _ in range(_SHOEBOXES):
@@ -127,7 +139,7 @@ def _repeated(make: Callable[[], None]) -> float:
     return _SHOEBOXES / (time.perf_counter() - start)
 
 
-def run(device: str = "cpu", pairs: str = "2048") -> list[Table]:
+def run(device: str = "cpu", rounds: str = "5", pairs: str = "") -> list[Table]:
     """Rates on a device."""
     if not find_spec("torch"):
         raise UnavailableError("PyTorch is not installed (extra torch)")
@@ -136,14 +148,18 @@ def run(device: str = "cpu", pairs: str = "2048") -> list[Table]:
     if device.startswith("cuda") and not torch.cuda.is_available():
         raise UnavailableError("no GPU that PyTorch can use")
     name = "the processor" if device == "cpu" else torch.cuda.get_device_name(device)
+    count = int(pairs) if pairs else (_BATCH if device == "cpu" else 8 * _BATCH)
     with tempfile.TemporaryDirectory() as temporary:
-        rows = _of_dataset(build(Path(temporary)), device, int(pairs))
+        rows = _of_dataset(build(Path(temporary)), device, int(rounds), count)
     rows += _shoeboxes(device)
     return [
         table(
             f"Responses of 1 s at 16 kHz per second, {name}",
-            ["", ("responses", "1/s")],
+            ["", ("responses", "1/s"), "over the reader's"],
             rows,
-            "Of other programs the time of one room after the other, image sources alone.",
+            "The last of our rows is beside the reader's binaural one, which convolves nothing. Of other programs "
+            "the time of one room after the other: image sources alone, one channel. gpuRIR needs CUDA to be "
+            "compiled; its authors state some 100 times the speed of libraries on a processor "
+            "(doi:10.1007/s11042-020-09905-3).",
         )
     ]

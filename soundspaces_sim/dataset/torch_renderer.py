@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 _RENDERERS = ("default", "smooth", "paper", "direct")
 _AT_ONCE = {"cpu": 8}  # responses: those of few stay in a processor's cache
 _MANY = 256
+_ALONE = threading.Lock()  # while PyTorch's number of threads, which is the whole process's, is one
 
 
 class _Part(NamedTuple):
@@ -123,7 +125,7 @@ class Renderer:
             return self._of_reader(rows, lambda s, l, _: self.dataset.ambisonic(s, l, rate))
         parts = self._parts(rows, rate, source, None, materials, force)
         make = self._field if order == 2 else lambda part: self._of_order(part, order)
-        return self._joined(parts, len(rows), make)
+        return self._joined(parts, len(rows), (order + 1) ** 2, make)
 
     def monaural(
         self,
@@ -141,7 +143,7 @@ class Renderer:
             return found[:, :1]
         rows, rate = self._rows(pairs), self._rate(rate)
         parts = self._parts(rows, rate, source, listener, materials, force)
-        return self._joined(parts, len(rows), lambda part: self._field(part)[:, :1])
+        return self._joined(parts, len(rows), 1, lambda part: self._field(part)[:, :1])
 
     def binaural(
         self,
@@ -162,7 +164,7 @@ class Renderer:
                 rows, lambda s, l, k: self.dataset.binaurals(s, l, heads[k : k + 1], rate)[0]
             )
         parts = self._parts(rows, rate, source, None, materials, force, heads)
-        return self._joined(parts, len(rows), lambda part: self._ears(part, heads[part.rows]))
+        return self._joined(parts, len(rows), 2, lambda part: self._ears(part, heads[part.rows]))
 
     def microphones(
         self,
@@ -177,7 +179,9 @@ class Renderer:
         """(k, capsules, n) `RirDataset.microphones` of k pairs."""
         rows, rate = self._rows(pairs), self._rate(rate)
         parts = self._parts(rows, rate, source, None, materials, force)
-        return self._joined(parts, len(rows), lambda part: self._at_array(part, array))
+        return self._joined(
+            parts, len(rows), len(array.offsets), lambda part: self._at_array(part, array)
+        )
 
     def rendered(
         self, echograms: Sequence[Echogram], pairs: ArrayLike, headings_deg: ArrayLike | None = None
@@ -190,10 +194,10 @@ class Renderer:
             )
         if headings_deg is None:
             parts = self._of_echograms(echograms, rows, self.dataset.rate)
-            return self._joined(parts, len(rows), self._field)
+            return self._joined(parts, len(rows), CHANNELS, self._field)
         heads = _heads(headings_deg, len(rows))
         parts = self._of_echograms(echograms, rows, self.dataset.rate, heads)
-        return self._joined(parts, len(rows), lambda part: self._ears(part, heads[part.rows]))
+        return self._joined(parts, len(rows), 2, lambda part: self._ears(part, heads[part.rows]))
 
     # Targets, and dry sounds
 
@@ -313,10 +317,13 @@ class Renderer:
         return signals.pair_seeds(self.dataset.manifest.config.dataset.seed, rows)
 
     def _chunks(self, lengths: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        most = self._at_once
+        if self.device.type == "cpu":
+            most = min(most, -(-len(lengths) // torch.get_num_threads()))
         for n in np.unique(lengths):
             alike = np.flatnonzero(lengths == n)
-            for first in range(0, len(alike), self._at_once):
-                yield int(n), alike[first : first + self._at_once]
+            for first in range(0, len(alike), most):
+                yield int(n), alike[first : first + most]
 
     def _kept_parts(self, rows: np.ndarray, rate: int) -> Iterator[_Part]:
         kept = self._kept
@@ -402,24 +409,50 @@ class Renderer:
 
     # What is made of it
 
-    def _joined(self, parts: Iterator[_Part], count: int, make: Callable[[_Part], Tensor]) -> Tensor:
-        found: list[Any] = [None] * count
-        made = []
-        for part in parts:
-            response = make(part)
-            if len(part.rows) == count:  # all at once, in order
-                return response
-            made.append((part.rows, response))
+    def _joined(
+        self, parts: Iterator[_Part], count: int, channels: int, make: Callable[[_Part], Tensor]
+    ) -> Tensor:
+        """(count, channels, n) what is made of all parts, shorter responses with zeros behind them."""
+        every = list(parts)
+        if self.device.type == "cpu" and not any(part.batch.energy.requires_grad for part in every):
+            return self._joined_by_threads(every, count, channels, make)
+        made = [(part.rows, make(part)) for part in every]
+        if len(made) == 1:  # all at once, in order
+            return made[0][1]
         if len({r.shape[-1] for _, r in made}) == 1:
             order = np.argsort(np.concatenate([rows for rows, _ in made]), kind="stable")
             whole = torch.cat([r for _, r in made])
             if (order == np.arange(count)).all():
                 return whole
             return whole[torch.from_numpy(order).to(whole.device)]
+        found: list[Any] = [None] * count
         for rows, response in made:
             for k, each in zip(rows, response, strict=True):
                 found[k] = each
         return signals.stacked(found)
+
+    def _joined_by_threads(
+        self, parts: Sequence[_Part], count: int, channels: int, make: Callable[[_Part], Tensor]
+    ) -> Tensor:
+        """On a processor: as many parts at a time as PyTorch has threads, each in one. Threads that share every
+        small operation wait for each other more than they work."""
+        out = torch.empty(count, channels, max(part.course.n for part in parts))
+
+        def one(part: _Part) -> None:
+            with torch.no_grad():
+                response, rows = make(part), torch.from_numpy(part.rows)
+                out[rows, :, : response.shape[-1]] = response
+                out[rows, :, response.shape[-1] :] = 0.0
+
+        with _ALONE:
+            threads = torch.get_num_threads()
+            torch.set_num_threads(1)
+            try:
+                with ThreadPoolExecutor(threads) as pool:
+                    list(pool.map(one, parts))
+            finally:
+                torch.set_num_threads(threads)
+        return out
 
     def _reverberation(self, part: _Part) -> Tensor:
         kind, batch, course = self.dataset.renderer, part.batch, part.course
@@ -436,7 +469,7 @@ class Renderer:
                 )
             steps = signals.step_energies(energy.cpu().numpy(), course)
             energy = course.tensor(np.ascontiguousarray(steps))
-        return signals.through_air(signals.reverberation(energy, course, part.seeds, kind), course)
+        return signals.reverberation(energy, course, part.seeds, kind)
 
     def _field(self, part: _Part) -> Tensor:
         """(k, 9, n) ambisonic responses."""
@@ -451,24 +484,29 @@ class Renderer:
 
     def _with_arrivals(self, reverberation: Tensor, part: _Part) -> Tensor:
         """`ambisonics.with_arrivals`."""
-        channels = reverberation.shape[1]
-        discrete = signals.arrivals(part.batch, part.course, channels)
+        channels, course = reverberation.shape[1], part.course
         return self._combined(
             reverberation,
-            discrete,
             part,
-            lambda low: low_band.below(low, (channels, part.course.n), part.course.rate),
+            lambda onto: signals.with_arrivals(part.batch, course, onto),
+            lambda low: low_band.below(low, (channels, course.n), course.rate),
         )
 
     def _combined(
-        self, reverberation: Tensor, discrete: Tensor, part: _Part, below: Callable[[Any], np.ndarray]
+        self,
+        reverberation: Tensor,
+        part: _Part,
+        arriving: Callable[[Tensor], Tensor],
+        below: Callable[[Any], np.ndarray],
     ) -> Tensor:
-        """`low_band.combined`; without waves, the sum."""
+        """`low_band.combined` of a reverberation, which is used up, with what is `arriving` put onto it; without
+        waves, the sum."""
         lows = [None if e.low is None else e.low for e in part.echograms or ()]
         low = next((each for each in lows if each is not None), None)
         if low is None:
-            return reverberation + discrete
+            return arriving(reverberation)
         found = np.stack([below(each) for each in lows])
+        discrete = arriving(torch.zeros_like(reverberation))
         high = signals.above(reverberation, low.edge, part.course, of_arrivals=False)
         high = high + signals.above(discrete, low.edge, part.course, of_arrivals=True)
         return high + torch.from_numpy(found).to(self.device)
@@ -512,7 +550,8 @@ class Renderer:
         batch = part.batch
         length = batch.delay.cpu().numpy() / signals.SECOND * c
         images = batch.direction.cpu().numpy().astype(float) * length[..., None]
-        rows = []
+        heard = (batch.arrivals.amax(-1, keepdim=True) > 0.0).float()
+        found = []
         for k, offset in enumerate(array.offsets):
             towards = images - offset
             own = np.linalg.norm(towards, axis=2)
@@ -520,14 +559,17 @@ class Renderer:
             gain = array.energy_gains(towards.reshape(-1, 3), bands)[k].reshape(*own.shape, -1)
             factor = part.course.tensor((gain * near[..., None] ** 2).astype(np.float32))
             delay = torch.from_numpy(signals.fixed(own / c)).to(self.device)
-            response, start = signals.arrival_filters(batch.arrivals * factor, delay, part.course)
-            heard = (batch.arrivals.amax(-1, keepdim=True) > 0.0).float()
-            rows.append(signals.placed(response, start, heard, part.course.n))
+            found.append(signals.arrival_filters(batch.arrivals * factor, delay, part.course))
+
+        def arriving(onto: Tensor) -> Tensor:
+            rows = [signals.placed(*each, heard, onto[:, k : k + 1]) for k, each in enumerate(found)]
+            return torch.cat(rows, 1)
+
         amplitudes = list(np.sqrt(array.energy_gains(sphere()[0], bands)[:, :, 0]))
         return self._combined(
             out,
-            torch.cat(rows, 1),
             part,
+            arriving,
             lambda low: low_band.at_microphones(
                 low, array.offsets, amplitudes, part.course.n, part.course.rate, c
             ),
@@ -554,7 +596,8 @@ class Renderer:
             part.course.rate,
             ears,
         )
-        alone = signals.arrivals(batch._replace(arrivals=direct), part.course)[which]
+        nothing = torch.zeros(len(heads), CHANNELS, part.course.n, device=self.device)
+        alone = signals.with_arrivals(batch._replace(arrivals=direct), part.course, nothing)[which]
         low = None if part.echograms is None else part.echograms[0].low
         if low is not None:  # waves are in the field, the direct sound's as well
             alone = signals.above(alone, low.edge, part.course, of_arrivals=True)

@@ -226,6 +226,36 @@ def place(out: np.ndarray, responses: np.ndarray, starts: np.ndarray, harmonics:
 
 
 @kernel
+def cut_frames(
+    first: int, last: int, frames: np.ndarray, signal: np.ndarray, window: np.ndarray, n: int, ring: int
+) -> None:
+    """Fill rows `first` to `last` of `frames` (R, k, m) with stretches of the first n samples of `signal` (R, N),
+    times `window` (2 hop,), from sample `ring` of a frame on; frame k begins (k - 1) hop samples after the
+    signal."""
+    length = len(window)
+    hop = length // 2
+    for row in range(first, last):
+        for k in range(frames.shape[1]):
+            start = (k - 1) * hop
+            frames[row, k] = 0.0
+            for i in range(max(0, -start), min(length, n - start)):
+                frames[row, k, ring + i] = window[i] * signal[row, start + i]
+
+
+@kernel
+def join_frames(first: int, last: int, out: np.ndarray, frames: np.ndarray, hop: int, ring: int) -> None:
+    """Fill rows `first` to `last` of `out` (R, n) with sums of the first 2 hop + 2 ring samples of `frames` (R, k,
+    m), placed as `cut_frames` takes them."""
+    n, length = out.shape[1], 2 * hop + 2 * ring
+    for row in range(first, last):
+        out[row] = 0.0
+        for k in range(frames.shape[1]):
+            start = (k - 1) * hop - ring
+            for i in range(max(0, -start), min(length, n - start)):
+                out[row, start + i] += frames[row, k, i]
+
+
+@kernel
 def play(
     out: np.ndarray,
     sound: np.ndarray,

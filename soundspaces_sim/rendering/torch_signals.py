@@ -23,7 +23,6 @@ from torch import Tensor
 
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.core.numerics.axes import CHANNELS, head_matrix, rotation_matrices
-from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.echogram import filters
 from soundspaces_sim.rendering import air as air_within_bands
 from soundspaces_sim.rendering import low_band, seed_paper, smooth
@@ -31,7 +30,7 @@ from soundspaces_sim.rendering.ambisonics import band_plans, transform_size
 from soundspaces_sim.rendering.binaural import decoder_transform
 from soundspaces_sim.rendering.decoder import Equalisation, Method
 from soundspaces_sim.rendering.harmonics import harmonics_sn3d
-from soundspaces_sim.rendering.synthesis import make_scratch, modulate, place
+from soundspaces_sim.rendering.synthesis import cut_frames, join_frames, make_scratch, modulate, place
 
 _LEAST_VARIANCE = 1e-6  # as `synthesis`
 _MOST = 1e37  # that air takes: beyond it single precision holds no energy
@@ -211,7 +210,7 @@ def _modulated(energy: Tensor, course: Course, dt: float, n: int, start: np.ndar
 
 
 def _by_kernels(given: Tensor) -> bool:
-    """Whether the kernels of the NumPy renderers may do it: on a processor, where nobody asks for gradients."""
+    """Whether kernels may do it, in one thread: on a processor, where nobody asks for gradients."""
     return given.device.type == "cpu" and not (given.requires_grad and torch.is_grad_enabled())
 
 
@@ -219,14 +218,9 @@ def _modulated_by_kernel(energy: Tensor, course: Course, dt: float, n: int, star
     out = torch.empty(len(energy), CHANNELS, n)
     samples, table = out.numpy(), np.ascontiguousarray(energy.detach().numpy().transpose(0, 2, 1))
     noise = filters.white_noise()
-    edges, lane = np.asarray(course.time_edges, float), len(noise) // CHANNELS
-
-    def rows(first: int, last: int) -> None:
-        scratch = make_scratch()
-        for k in range(first, last):
-            modulate(samples[k], table[k], edges, dt, noise, int(start[k]), lane, scratch)
-
-    over_rows(rows, len(samples), chunk=1)
+    edges, lane, scratch = np.asarray(course.time_edges, float), len(noise) // CHANNELS, make_scratch()
+    for k in range(len(samples)):
+        modulate(samples[k], table[k], edges, dt, noise, int(start[k]), lane, scratch)
     return out
 
 
@@ -238,7 +232,7 @@ class _Place(NamedTuple):
     of: int
     first: int
     last: int
-    gain: Tensor
+    gain: Tensor  # twice each, for `_times`
 
 
 @lru_cache(maxsize=16)
@@ -248,7 +242,7 @@ def _places(
     """(samples of the transform, its parts) of the renderer ``default`` or ``smooth``."""
 
     def on_device(gain: np.ndarray) -> Tensor:
-        return torch.from_numpy(np.array(gain)).to(device)
+        return torch.from_numpy(np.repeat(gain, 2)).to(device)
 
     if kind == "smooth":
         size = transform_size(n, rate)
@@ -258,8 +252,16 @@ def _places(
     return size, tuple(_Place(p.step, p.first, p.first, p.last, on_device(p.gain)) for p in plans)
 
 
+def _times(spectrum: Tensor, gain: Tensor) -> Tensor:
+    """A spectrum (…, f) times real gains, each twice in a row (…, 2 f), as real numbers: half the work."""
+    return torch.view_as_complex(
+        (torch.view_as_real(spectrum).flatten(-2) * gain).unflatten(-1, (-1, 2))
+    )
+
+
 def reverberation(energy: Tensor, course: Course, seeds: np.ndarray, kind: str = "default") -> Tensor:
-    """(k, 9, n) of energies (k, B, 9, bins), or of the steps of ``smooth``, without discrete arrivals."""
+    """(k, 9, n) of energies without air (k, B, 9, bins), or of the steps of ``smooth``, through the air, without
+    discrete arrivals."""
     size, places = _places(kind, course.bands, course.rate, course.n, course.device)
     lanes = combined_keys(seeds, smooth.LANES if kind == "smooth" else 1)
     spectrum = torch.zeros(
@@ -270,8 +272,8 @@ def reverberation(energy: Tensor, course: Course, seeds: np.ndarray, kind: str =
         dt, count = at.step / course.rate, size // at.step
         made = torch.fft.rfft(_modulated(energy[:, b], course, dt, count, start.astype(np.int64)))
         bins = made[..., at.of : at.of + at.last - at.first]
-        spectrum[..., at.first : at.last] += bins * at.gain
-    return torch.fft.irfft(spectrum, size)[..., : course.n]
+        spectrum[..., at.first : at.last] += _times(bins, at.gain)
+    return through_air(torch.fft.irfft(spectrum, size), course)
 
 
 def step_energies(energy: np.ndarray, course: Course) -> np.ndarray:
@@ -307,28 +309,40 @@ def without_air(energy: Tensor, course: Course) -> Tensor:
     return (energy.to(some.dtype) / some).float()
 
 
+class _AirTables(NamedTuple):
+    """What `air.through_air` has of a response's length and rate."""
+
+    hop: int
+    ring: int
+    size: int  # samples of a frame's transform
+    window: Tensor  # (2 hop,)
+    filters: Tensor  # (frames, 2 f), for `_times`
+
+
 @lru_cache(maxsize=8)
-def _air_filters(air: Air, rate: int, hop: int, count: int, size: int, device: torch.device) -> Tensor:
-    return torch.from_numpy(air_within_bands.hop_filters(air, rate, hop, count, size).copy()).to(device)
+def _air_tables(air: Air, rate: int, n: int, device: torch.device) -> _AirTables:
+    hop, ring = air_within_bands.hop_and_ring(rate)
+    window = np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)) ** 2
+    size = int(scipy.fft.next_fast_len(2 * hop + 2 * ring, real=True))
+    gains = np.repeat(air_within_bands.hop_filters(air, rate, hop, -(-n // hop) + 1, size), 2, axis=1)
+    found = (torch.from_numpy(x).to(device) for x in (window.astype(np.float32), gains))
+    return _AirTables(hop, ring, size, *found)
 
 
 def through_air(response: Tensor, course: Course) -> Tensor:
-    """`air.through_air` of responses (k, c, n)."""
+    """(k, c, n) `air.through_air` of the first n samples of responses (k, c, N)."""
+    n = course.n
     if course.air is None:
-        return response
-    n, rate = response.shape[-1], course.rate
-    hop, ring = air_within_bands.hop_and_ring(rate)
-    count = -(-n // hop) + 1
-    frames = torch.nn.functional.pad(response, (hop, count * hop - n)).unfold(-1, 2 * hop, hop)
-    window = np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)) ** 2
-    size = int(scipy.fft.next_fast_len(2 * hop + 2 * ring, real=True))
-    padded = response.new_zeros(
-        *frames.shape[:-1], size
-    )  # with room for what filters put before a frame
-    padded[..., ring : ring + 2 * hop] = frames * course.tensor(window.astype(np.float32))
-    spectrum = torch.fft.rfft(padded)
-    spectrum *= _air_filters(course.air, rate, hop, count, size, course.device)
-    made = torch.fft.irfft(spectrum, size)
+        return response[..., :n]
+    tables = _air_tables(course.air, course.rate, n, course.device)
+    if _by_kernels(response):
+        return _through_air_by_kernels(response.detach().contiguous(), n, tables)
+    hop, ring, count = tables.hop, tables.ring, len(tables.filters)
+    cut = torch.nn.functional.pad(response[..., :n], (hop, count * hop - n))
+    frames = cut.unfold(-1, 2 * hop, hop)
+    padded = response.new_zeros(*frames.shape[:-1], tables.size)  # with room for what filters put before
+    padded[..., ring : ring + 2 * hop] = frames * tables.window
+    made = torch.fft.irfft(_times(torch.fft.rfft(padded), tables.filters), tables.size)
     length = 2 * hop + 2 * ring
     parts = -(-length // hop)
     out = response.new_zeros(*response.shape[:-1], count + parts - 1, hop)
@@ -336,6 +350,22 @@ def through_air(response: Tensor, course: Course) -> Tensor:
         some = min(hop, length - p * hop)
         out[..., p : p + count, :some] += made[..., p * hop : p * hop + some]
     return out.flatten(-2)[..., hop + ring : hop + ring + n]
+
+
+def _through_air_by_kernels(response: Tensor, n: int, tables: _AirTables) -> Tensor:
+    """One response after the other, so that its frames stay in the processor's cache."""
+    channels, count, size = response.shape[1], len(tables.filters), tables.size
+    out = torch.empty(len(response), channels, n)
+    frames = torch.empty(channels, count, size)
+    spectrum = torch.empty(channels, count, size // 2 + 1, dtype=torch.complex64)
+    numbers, window = torch.view_as_real(spectrum).flatten(-2), tables.window.numpy()
+    for signal, into in zip(response.numpy(), out.numpy(), strict=True):
+        cut_frames(0, channels, frames.numpy(), signal, window, n, tables.ring)
+        torch.fft.rfft(frames, out=spectrum)
+        numbers *= tables.filters
+        torch.fft.irfft(spectrum, size, out=frames)
+        join_frames(0, channels, into, frames.numpy(), tables.hop, tables.ring)
+    return out
 
 
 # Discrete arrivals
@@ -422,33 +452,36 @@ def arrival_filters(energy: Tensor, delay: Tensor, course: Course) -> tuple[Tens
     return response, (position >> _FRACTION) - taps // 2 + 1
 
 
-def placed(response: Tensor, start: Tensor, gains: Tensor, n: int) -> Tensor:
-    """(k, c, n): responses (k, A, m), each from sample `start` (k, A) on and times `gains` (k, A, c)."""
-    out = response.new_zeros(len(gains), gains.shape[2], n)
-    m = response.shape[-1]
+def placed(response: Tensor, start: Tensor, gains: Tensor, onto: Tensor) -> Tensor:
+    """`onto` (k, c, n), which is used up, and responses (k, A, m), each from sample `start` (k, A) on and times
+    `gains` (k, A, c)."""
+    n, m = onto.shape[-1], response.shape[-1]
     if response.shape[1] == 0 or n == 0:
-        return out
-    if _by_kernels(response) and _by_kernels(gains):
-        arrays = (x.detach().numpy() for x in (out, response, start, gains))
-        for to, each, begins, by in zip(*arrays, strict=True):
-            place(to, np.ascontiguousarray(each), begins, np.ascontiguousarray(by))
+        return onto
+    if all(_by_kernels(given) for given in (response, gains, onto)):
+        out = onto.detach().contiguous()
+        arrays = [x.detach().contiguous().numpy() for x in (out, response, start, gains)]
+        for of_response in zip(*arrays, strict=True):
+            place(*of_response)
         return out
     first, last = int(start.min()), int(start.max()) + m
     at = torch.arange(first, last, device=start.device) - start[..., None]
     inside = (at >= 0) & (at < m)
     each = torch.gather(response, -1, at.clamp(0, m - 1)) * inside
     low, high = max(first, 0), min(last, n)
-    if low < high:
-        made = gains.transpose(1, 2) @ each[..., low - first : high - first]
-        out[..., low:high] = made
-    return out
+    if low >= high:
+        return onto
+    made = gains.transpose(1, 2) @ each[..., low - first : high - first]
+    return onto + torch.nn.functional.pad(made, (low, n - high))
 
 
-def arrivals(batch: EchogramBatch, course: Course, channels: int = CHANNELS) -> Tensor:
-    """(k, c, n) the discrete arrivals alone."""
+def with_arrivals(batch: EchogramBatch, course: Course, onto: Tensor) -> Tensor:
+    """Responses `onto` (k, c, n), which are used up, with discrete arrivals."""
     response, start = arrival_filters(batch.arrivals, batch.delay, course)
-    gains = harmonics(batch.direction, channels).float() * (batch.arrivals.amax(-1, keepdim=True) > 0.0)
-    return placed(response, start, gains, course.n)
+    gains = harmonics(batch.direction, onto.shape[1]).float() * (
+        batch.arrivals.amax(-1, keepdim=True) > 0.0
+    )
+    return placed(response, start, gains, onto)
 
 
 # Waves below an edge
@@ -506,7 +539,7 @@ def plane_waves(
             keys = combined_keys(combined_keys(stream[i : i + 1], b), np.arange(count))
             starts = (keys % np.uint64(len(filters.white_noise()))).astype(np.int64)
             made = torch.fft.rfft(gain * _noise(starts, samples, course.device))
-            bins = made[:, at.first : at.last] * at.gain
+            bins = _times(made[:, at.first : at.last], at.gain)
             amplitude = course.tensor(np.ascontiguousarray(each[:, b], np.float32))
             spectrum[:, at.first : at.last] += _gathered(bins, amplitude, turns, at.first, course)
         out.append(torch.fft.irfft(spectrum, size)[..., : course.n])

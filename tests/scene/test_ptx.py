@@ -30,6 +30,17 @@ def _walk(box, link, corners, face, o, d, out):  # type: ignore[no-untyped-def]
         out[i, 0], out[i, 1], out[i, 2] = t, triangle, 1.0 if hit else 0.0
 
 
+@pytest.fixture(autouse=True)
+def compilers() -> None:
+    """Skip where CUDA's compilers are not installed, which numba-cuda[cu13] brings."""
+    pathfinder: Any = pytest.importorskip("cuda.pathfinder", reason="numba-cuda is not installed")
+    for library in ("nvvm", "nvrtc"):
+        try:
+            pathfinder.load_nvidia_dynamic_lib(library)
+        except pathfinder.DynamicLibNotFoundError:
+            pytest.skip(f"{library} of CUDA is not installed")
+
+
 def test_rays_compile_to_ptx(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is left to a library, and nothing lies on a stack."""
     device = SimpleNamespace(

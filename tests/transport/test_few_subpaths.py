@@ -106,10 +106,10 @@ def test_floor_of_batches_by_what_intervals_hold() -> None:
     assert none[:, 2].max() > 0.05
 
 
-@pytest.mark.parametrize("seed", [0, 10])
+@pytest.mark.parametrize("seed", [1, 73])
 def test_a_band_alone_does_not_know(seed: int) -> None:
-    """These seeds lack the subpaths that matter: a sixth and an eighth of the mean over seeds, in batches that are
-    even in one band by chance."""
+    """These seeds lack the subpaths that matter: they have a seventh, and in the highest band a fourth of the mean
+    over 80 seeds. Batches of the second are even in that band by chance: alone it would state an error."""
     config = ss.SimulationConfig(walks=1000, duration=0.6, denoise=False)
     run = ss.simulate(_passage(), SOURCE, LISTENER, config, seed)[0, 0]
     assert np.all(np.isinf(run.relative_error[1]))
