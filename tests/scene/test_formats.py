@@ -479,7 +479,7 @@ def test_embree_builds_its_tree_once(
 ) -> None:
     """The scene that was looked over for missing ceilings is the one that is returned, unless a ceiling was
     added."""
-    from soundspaces_sim.scene.rays.embree import RayScene
+    from soundspaces_sim.scene.rays.caster import RayScene
 
     built = []
     build = RayScene.__init__

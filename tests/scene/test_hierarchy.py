@@ -212,6 +212,7 @@ def test_embree_goes_before_and_arrays_stand_in(
 
 
 def test_keys_hold_who_casts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(target, "ray_engine", lambda: "embree")
     plain = target.code_target.__wrapped__()
     monkeypatch.setattr(target, "ray_engine", lambda: "arrays")
     assert target.code_target.__wrapped__() == f"{plain} rays-by-arrays"

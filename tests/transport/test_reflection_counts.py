@@ -85,9 +85,9 @@ def test_arrivals_know_what_reflected_them() -> None:
 
 
 def test_radiance_transfer_counts_as_receiver_volumes_do() -> None:
-    """Two estimators of the same mean counts, by other walks, in four runs of either: to a thirtieth of the steps of
+    """Two estimators of the same mean counts, by other walks, in six runs of either: to a thirtieth of the steps of
     6.4 m in which radiance transfer counts, which is a tenth of a reflection here."""
-    runs, difference = 4, []
+    runs, difference = 6, []
     for seed in range(runs):
         means = []
         for transfer in (True, False):
