@@ -12,12 +12,17 @@ instructions for (`_take_logarithms`).
 
 The variance of a variance from so few batches is large. Bands share the subpaths, so relative variances (of
 levels in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of
-freedom (a moderated variance, Smyth 2004). Four standard errors are to be exceeded as rarely as four of a
-normal distribution: of Student's t with this many degrees of freedom that asks for `_STUDENT` times as much.
+freedom (a moderated variance, Smyth 2004). Deviations over errors are then of Student's t with that many degrees of
+freedom, whose standard deviation is `_STUDENT`: errors are as much larger, so that it is 1.
 
 Rare subpaths that carry much may be in none of the batches of one end. Late energies are means of estimates by
-either end: an error is at least half of what a measure differs by between both, and at least what denoising late
-bins has moved the measure by (`widened`).
+either end. Where half of what a measure differs by between both is above `UNLIKELY` errors, it is the error. Without that
+limit it would be above a right error in one of three cases. An error is at least what denoising late bins has moved
+the measure by (`widened`).
+
+Out of sight, sound begins where it comes within 20 dB of its peak. The peak is a single bin, whose noise is more than
+that of its window: of energies that are alike its relative variance is that of the window times the ratio of both
+energies. Measures from the onset for a peak one standard error higher, and lower, differ by two standard errors more.
 """
 
 import math
@@ -34,7 +39,8 @@ from soundspaces_sim.echogram.measure_names import MEASURES
 _T20, _T30, _EDT, _C50, _C80, _D50, _TS, _DRR = range(len(MEASURES))
 _LEVELS = np.array([name in ("c50", "c80", "drr") for name in MEASURES])  # in dB
 _PRIOR = 15.0
-_STUDENT = 1.161  # t.isf(norm.sf(4), 15 + _PRIOR) / 4
+_STUDENT = math.sqrt((15.0 + _PRIOR) / (13.0 + _PRIOR))
+UNLIKELY = 3.0  # standard errors by which estimates of either end may lie off their mean
 DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
 _LOWEST = 10.0**-3.51  # of the energy of a decay: no measure looks below -35 dB
 _ROOT_BITS = np.int32(0x3F3504F3)  # of the root of one half in single precision
@@ -95,7 +101,7 @@ class _Work(NamedTuple):
     whole: np.ndarray  # (windows, b) of all batches
     more: np.ndarray  # (K - 1, windows, b) by which batches with +1 exceed those with -1
     levels: _Levels
-    found: np.ndarray  # (M, b, half-samples + 3): of these, of all, by subpaths of either end
+    found: np.ndarray  # (M, b, half-samples + 5): of these, of all, by subpaths of either end, by either onset
     value: np.ndarray  # (M, b) by which relative errors are multiplied
 
 
@@ -239,8 +245,13 @@ def _load(pairs: _Pairs, n: int, work: _Work) -> bool:
 @part
 def _measure(pairs: _Pairs, n: int, lit: bool, work: _Work, k: int) -> None:
     """Measures of `work.total` to column `k` of `work.found`, from the bin of its onset on, as in `measures`."""
-    start = _bin(pairs.bins.edges, pairs.delay[n]) if lit else _onset(pairs.bins, work)
-    bins = pairs.bins
+    start = _bin(pairs.bins.edges, pairs.delay[n]) if lit else _onset(pairs.bins, work, ONSET)
+    _measure_from(pairs.bins, start, work, k)
+
+
+@part
+def _measure_from(bins: _Bins, start: int, work: _Work, k: int) -> None:
+    """The same from bin `start` on."""
     limits = (
         _place_of(bins, start, DIRECT_S),
         _place_of(bins, start, 0.05),
@@ -303,6 +314,45 @@ def _by_one_end(sign: float, difference: np.ndarray, work: _Work) -> None:
             work.total[b, first + t] = work.fixed[b, first + t] + of_end
 
 
+@part
+def _peak_error(samples: _Samples, bins: _Bins, work: _Work) -> float:
+    """Relative standard error of the highest rate of all bands, `work.rate` as `_onset` has left it of
+    `work.total`; at most 1."""
+    peak, first = int(np.argmax(work.rate)), samples.first
+    w = 0
+    while w + 2 < len(first) and first[w + 1] <= peak:
+        w += 1
+    of_bin, of_window, whole, total, squares = 0.0, 0.0, 0.0, 0.0, 0.0
+    for b in range(len(work.total)):
+        of_bin += work.energy[b, peak]
+        of_window += _sum(work.energy[b, first[w] : first[w + 1]])
+        total += work.total[b, peak]
+        whole += work.whole[w, b]
+    for h in range(len(work.more)):
+        apart = 0.0
+        for b in range(len(work.total)):
+            apart += work.more[h, w, b]
+        squares += apart * apart
+    if of_bin <= 0.0 or whole <= 0.0:
+        return 0.0
+    variance = squares / len(work.more) / (whole * whole) * of_window / of_bin
+    return min(math.sqrt(variance), 1.0) * of_bin / total
+
+
+@part
+def _measure_onsets(pairs: _Pairs, samples: _Samples, work: _Work, k: int) -> bool:
+    """Measures of `work.total`, out of sight, to columns `k` and `k + 1` of `work.found`, from the onsets for a peak
+    one standard error higher and lower; whether these differ."""
+    _onset(pairs.bins, work, ONSET)
+    higher = 1.0 + _peak_error(samples, pairs.bins, work)
+    late, early = _onset(pairs.bins, work, ONSET * higher), _onset(pairs.bins, work, ONSET / higher)
+    if early == late:
+        return False
+    _measure_from(pairs.bins, early, work, k)
+    _measure_from(pairs.bins, late, work, k + 1)
+    return True
+
+
 @part(forceinline=True)
 def _spread(found: np.ndarray, halves: int) -> float:
     """Root of the mean square by which the first `halves` of `found` differ from the value that follows them."""
@@ -327,6 +377,7 @@ def _errors(
             _measure(pairs, n, lit, work, k)
         _whole(work)
         _measure(pairs, n, lit, work, halves)
+        doubtful = not lit and _measure_onsets(pairs, samples, work, halves + 3)
         for end in range(2):
             _by_one_end(2.0 * end - 1.0, samples.difference[n], work)
             _measure(pairs, n, lit, work, halves + 1 + end)
@@ -342,8 +393,11 @@ def _errors(
             for b in range(out.shape[2]):
                 out[row, m, b] *= _STUDENT * value[m, b]
                 apart = 0.5 * abs(found[m, b, halves + 2] - found[m, b, halves + 1])
-                if apart > out[row, m, b]:
+                if apart > UNLIKELY * out[row, m, b]:
                     out[row, m, b] = apart
+                if doubtful:
+                    apart = 0.5 * (found[m, b, halves + 4] - found[m, b, halves + 3])
+                    out[row, m, b] = math.hypot(out[row, m, b], apart)
 
 
 @kernel
@@ -381,8 +435,8 @@ def _bin(edges: np.ndarray, time: float) -> int:
 
 
 @part
-def _onset(bins: _Bins, work: _Work) -> int:
-    """Number of the first bin with as much energy per time as `ONSET` of the most (ISO 3382-1, A.3.4)."""
+def _onset(bins: _Bins, work: _Work, of_most: float) -> int:
+    """Number of the first bin with as much energy per time as `of_most` of the most (ISO 3382-1, A.3.4)."""
     rate, most = work.rate, 0.0
     rate[:] = 0.0
     for b in range(len(work.total)):
@@ -392,7 +446,7 @@ def _onset(bins: _Bins, work: _Work) -> int:
         rate[t] /= bins.width[t]
         most = max(most, rate[t])
     for t in range(len(rate)):
-        if rate[t] > 0.0 and rate[t] >= ONSET * most:
+        if rate[t] > 0.0 and rate[t] >= of_most * most:
             return t
     return 0
 
@@ -479,7 +533,7 @@ def measure_errors(
         np.searchsorted(window, np.arange(windows + 1)),
         signs,
     )
-    sizes = echoes.energy.shape[2], bands, 2 * len(signs) + 3, len(signs), windows
+    sizes = echoes.energy.shape[2], bands, 2 * len(signs) + 5, len(signs), windows
     over_rows(_errors, len(out), pairs, samples, out, scratch=lambda: _make_work(*sizes))
     out = _of_all(out, pairs, echoes.shape)
     out[echoes.walls > 0, _DRR] = np.nan

@@ -15,7 +15,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread, thread_count
 from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
-from soundspaces_sim.echogram.measure_errors import measure_errors
+from soundspaces_sim.echogram.measure_errors import UNLIKELY, measure_errors
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import EARLY_S, Model
@@ -39,10 +39,12 @@ from soundspaces_sim.transport.tile import (
 from soundspaces_sim.transport.walks import make_left, make_walks
 
 Progress = Callable[[int], None]  # points traced
-_UNLIKELY = 3.0  # standard errors by which estimates of either end may lie off their mean
 LEAST_EFFECTIVE = (
     8.0  # batches that carry an estimate: as of 15 subpaths of equal energy (theory, section 7)
 )
+_STUDENT = np.sqrt(
+    (BATCHES - 1) / (BATCHES - 3)
+)  # standard deviation of a deviation over an error by so many batches (Student's t)
 _UNKNOWN = 1.0  # relative error of energy that one batch carries
 _LARGEST_KNOWN = 0.5
 _ROOM = 2**29  # bytes for the tables of points that are traced together, if threads have one each
@@ -319,12 +321,12 @@ def _errors_of_point(
     share = late_share(starts)
     share_of_window = np.stack([1.0 - share, share], axis=1)  # (L, 2, windows)
     of_batch = np.matmul(share_of_window[:, None], batches)  # (L, BATCHES, 2, b)
-    spread = of_batch.std(axis=1, ddof=1) * np.sqrt(BATCHES)
+    spread = _STUDENT * of_batch.std(axis=1, ddof=1) * np.sqrt(BATCHES)
     share = late_share(edges)
     by_both = share[:, share.shape[1] - difference.shape[1] :]
     by_both = np.stack([1.0 - by_both, by_both], axis=1)
     apart = np.abs(np.matmul(by_both, difference))  # (L, 2, b)
-    spread = np.where(apart > _UNLIKELY * spread, apart, spread)
+    spread = np.where(apart > UNLIKELY * spread, apart, spread)
     late_energy = np.einsum("lt,ltb->lb", share, energy)
     reference = np.stack([energy.sum(axis=1) - late_energy, late_energy], axis=1).astype(float)
     reference[:, 0] += tile.direct[i]

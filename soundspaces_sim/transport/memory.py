@@ -68,7 +68,7 @@ def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
     of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
-    by_step = ways * (moment_rows(groups) + groups * (groups + 1))  # by batch, and across both ends
+    by_step = ways * (moment_rows(groups) + 1 + groups * (groups + 1))  # by batch, and across both ends
     of_pair = max(products) + by_step * (len(batch_edges(model)) - 1) * bands
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair

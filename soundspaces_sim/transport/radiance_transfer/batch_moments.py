@@ -36,6 +36,8 @@ class BatchProducts(NamedTuple):
         np.ndarray
     )  # (A, moment rows, B, T) of each batch of a, and of counts and lengths, with all of b
     of_b: np.ndarray  # (B, moment rows, A, T)
+    within_a: np.ndarray  # (A, B, T) variance of both directions that groups of patches hide, of events of a
+    within_b: np.ndarray  # (B, A, T)
     there: Crossed  # a -> b
     back: Crossed
 
@@ -91,6 +93,10 @@ def add_batches(
                     share[step, k] = share[step, k] / total - 1.0 / BATCHES
                 else:
                     share[step, k] = 1.0 / BATCHES
+            if total > 0.0:
+                of_a, of_b = products.within_a[i, j, step], products.within_b[j, i, step]
+                hidden = max(of_a, np.float32(0.0)) + max(of_b, np.float32(0.0))
+                _widen(share[step], hidden / (total * total))
             _find_moments(products, i, j, step, total, share[step])
         for t in range(len(energies.restore)):
             mean = 0.5 * (energies.forward[i, j, t] + energies.backward[j, i, t])
@@ -103,6 +109,19 @@ def add_batches(
 
 
 @part
+def _widen(share: np.ndarray, hidden: float) -> None:
+    """Scale how far the shares of batches are from their mean, so that their variance is larger by `hidden`."""
+    squares = 0.0
+    for k in range(BATCHES):
+        squares += (share[k] - 1.0 / BATCHES) ** 2
+    if squares <= 0.0:
+        return
+    scale = math.sqrt(1.0 + hidden * (BATCHES - 1) / (BATCHES * squares))
+    for k in range(BATCHES):
+        share[k] = 1.0 / BATCHES + scale * (share[k] - 1.0 / BATCHES)
+
+
+@part
 def _find_moments(
     products: BatchProducts, i: int, j: int, step: int, total: float, share: np.ndarray
 ) -> None:
@@ -112,7 +131,7 @@ def _find_moments(
     Counts and lengths of both ends add. What is left of either multiplies, so that the product of what is taken
     from both is subtracted.
     """
-    of_a, of_b, there, back = products
+    of_a, of_b, there, back = products.of_a, products.of_b, products.there, products.back
     groups = len(there.taken)
     share[BATCHES:] = 0.0
     if total <= 0.0 or groups == 0:

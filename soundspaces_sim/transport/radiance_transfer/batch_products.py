@@ -33,16 +33,29 @@ class ByBatch(NamedTuple):
     """Histograms by batch of N points, on the G groups of a chunk."""
 
     both: np.ndarray  # (b, N, moment rows, steps, 2 G): outgoing, then incident
+    within: np.ndarray  # (b, N, 2, steps, 2 G), of the same: `patch_histograms.Histograms`
+
+    @property
+    def halves(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Of `both` and `within`, each: V, F."""
+        half = self.both.shape[-1] // 2
+        return [(table[..., :half], table[..., half:]) for table in self]
 
     @property
     def outgoing(self) -> np.ndarray:
         """V."""
-        return self.both[..., : self.both.shape[-1] // 2]
+        return self.halves[0][0]
 
     @property
     def incident(self) -> np.ndarray:
         """F."""
-        return self.both[..., self.both.shape[-1] // 2 :]
+        return self.halves[0][1]
+
+    @property
+    def turned_within(self) -> np.ndarray:
+        """(b, N, steps, 2 G): by how much patches differ, F, then V."""
+        outgoing, incident = (part[:, :, 1] for part in self.halves[1])
+        return np.concatenate([incident, outgoing], axis=-1)
 
     @property
     def whole(self) -> np.ndarray:
@@ -71,6 +84,8 @@ class ProductsByBatch(NamedTuple):
 
     of_a: np.ndarray  # (b, A, moment rows, B, T) of each row of a with all of b
     of_b: np.ndarray  # (b, B, moment rows, A, T)
+    within_a: np.ndarray  # (b, A, 1, B, T) variance that groups of patches hide, of a's events; `within_b` likewise
+    within_b: np.ndarray  # (b, B, 1, A, T)
     there: Crossed
     back: Crossed
 
@@ -88,17 +103,21 @@ def no_products(
         )
 
     of_a, there = np.zeros((bands, a, rows, b, steps), np.float32), crossed(a, b)
+    within_a = np.zeros((bands, a, 1, b, steps), np.float32)
     if same:
-        return ProductsByBatch(of_a, of_a, there, there)
+        return ProductsByBatch(of_a, of_a, within_a, within_a, there, there)
     of_b = np.zeros((bands, b, rows, a, steps), np.float32)
-    return ProductsByBatch(of_a, of_b, there, crossed(b, a))
+    within_b = np.zeros((bands, b, 1, a, steps), np.float32)
+    return ProductsByBatch(of_a, of_b, within_a, within_b, there, crossed(b, a))
 
 
 def add_all_products(windows: WindowSteps, a: ByBatch, b: ByBatch, out: ProductsByBatch) -> None:
     """Add the products by way of a chunk of patches; `a is b` for points with themselves."""
     add_products(windows, a.both, b.whole, out.of_a)
+    add_products(windows, a.within[:, :, :1], b.turned_within, out.within_a)
     if a is not b:
         add_products(windows, b.both, a.whole, out.of_b)
+        add_products(windows, b.within[:, :, :1], a.turned_within, out.within_b)
     directions = [(a, b, out.there)] if a is b else [(a, b, out.there), (b, a, out.back)]
     for of, to, into in directions:
         number = into.taken.shape[1]

@@ -170,8 +170,11 @@ def _nothing(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
 
 def _by_batch(plan: TransferPlan, of: Endpoints, chunk: int) -> ByBatch:
     """Room for histograms by batch of both ends of some points."""
-    shape = plan.bands, of.points, plan.moment_rows, plan.groups.steps.rows
-    return ByBatch(np.empty((*shape, 2 * int(plan.groups.count[chunk])), np.float32))
+    steps, columns = plan.groups.steps.rows, 2 * int(plan.groups.count[chunk])
+    return ByBatch(
+        np.empty((plan.bands, of.points, plan.moment_rows, steps, columns), np.float32),
+        np.empty((plan.bands, of.points, 2, steps, columns), np.float32),
+    )
 
 
 def _make_workspace(plan: TransferPlan, outgoing: int, incident: int) -> _Workspace:
@@ -199,15 +202,19 @@ def _add_chunk(
     """Add the transfer by way of the patches of a chunk; outgoing histograms by batch to the first of `batches`,
     incident ones to the second."""
     shape = plan.groups.steps.rows, int(plan.groups.count[chunk]), plan.moment_rows, 1, plan.bands
-    outgoing = Histograms(workspace.outgoing, batches[0].outgoing)
-    incident = Histograms(workspace.incident, batches[1].incident)
-    axes = ChunkAxes(plan.steps, plan.groups, chunk)
+    outgoing = Histograms(workspace.outgoing, *(half[0] for half in batches[0].halves))
+    incident = Histograms(workspace.incident, *(half[1] for half in batches[1].halves))
+    axes = ChunkAxes(plan.steps, plan.groups, plan.within, chunk)
 
     def make_scratch() -> PointHistograms:
         energy = np.empty((plan.steps.rows, plan.chunk, plan.bands), np.float32)
-        counts = np.empty(plan.material_groups, np.uint16)
         return PointHistograms(
-            energy, np.empty(shape, np.float32), np.empty(plan.bands, np.float32), counts
+            energy,
+            np.empty(shape, np.float32),
+            np.empty(plan.bands, np.float32),
+            np.empty(plan.material_groups, np.uint16),
+            np.empty(energy.shape[1:], np.float32),
+            np.empty((2, shape[1], plan.bands)),
         )
 
     with stage("outgoing histograms"):

@@ -18,6 +18,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     PatchGroups,
+    Within,
     add_to_group,
 )
 from soundspaces_sim.transport.radiance_transfer.first_reflections import Continuations, Reflections
@@ -38,6 +39,7 @@ class ChunkAxes(NamedTuple):
 
     steps: TimeSteps  # rows
     groups: PatchGroups  # columns of the sums by batch
+    within: Within
     chunk: int  # columns: patches `chunk` CHUNK and the next ones
 
 
@@ -46,6 +48,7 @@ class Histograms(NamedTuple):
 
     energy: np.ndarray  # (b, N, rows, columns)
     batches: np.ndarray  # (b, N, moment rows, steps, groups)
+    within: np.ndarray  # (b, N, 2, steps, groups): variances of sums over batches; of patches, `_store_within`
 
 
 class PointHistograms(NamedTuple):
@@ -55,6 +58,8 @@ class PointHistograms(NamedTuple):
     batches: np.ndarray  # (steps, groups, moment rows, 1, b)
     deposit: np.ndarray  # (b,) energy that is being added
     counts: np.ndarray  # (material groups,) reflections of what is being added
+    step: np.ndarray  # (columns, b) energy of the patches in a step of batches
+    of_groups: np.ndarray  # (2, groups, b) means over patches, and of squares
 
 
 class DirectedPatches(NamedTuple):
@@ -108,6 +113,51 @@ def _store_point(point: PointHistograms, out: Histograms, i: int) -> None:
             for t in range(batches.shape[0]):
                 for g in range(batches.shape[1]):
                     out.batches[b, i, k, t, g] = batches[t, g, k, 0, b]
+
+
+@part
+def _sum_step(point: PointHistograms, axes: ChunkAxes, t: int, incident: bool, columns: int) -> None:
+    """Fill `point.step` with the energy of the patches in step `t` of batches."""
+    low, high = axes.within.rows[int(incident), t]
+    step = point.step
+    step[:columns] = 0.0
+    for r in range(low, high):
+        for c in range(columns):
+            for b in range(step.shape[1]):
+                step[c, b] += point.energy[r, c, b]
+
+
+@part
+def _store_within(
+    point: PointHistograms, axes: ChunkAxes, incident: bool, out: np.ndarray, i: int
+) -> None:
+    """Fill row `i` of `out` (b, N, 2, steps, groups) with variances of the sums over batches, and the mean square by
+    which patches of a group differ: of F_c / R_c, or of V_c R_g / R_c, with patches counted by R."""
+    batches, of_groups, first = point.batches, point.of_groups, axes.chunk * CHUNK
+    columns = min(len(point.step), len(axes.groups.group) - first)
+    for t in range(batches.shape[0]):
+        _sum_step(point, axes, t, incident, columns)
+        of_groups[:] = 0.0
+        for c in range(columns):
+            g = axes.groups.group[first + c]
+            for b in range(of_groups.shape[2]):
+                share = axes.within.share[first + c, b]
+                if share > 0.0 and point.step[c, b] > 0.0:
+                    # incident energies are 4 F / R
+                    value = 0.25 * point.step[c, b] if incident else point.step[c, b] / share
+                    of_groups[0, g, b] += share * value
+                    of_groups[1, g, b] += share * value * value
+        for g in range(batches.shape[1]):
+            for b in range(of_groups.shape[2]):
+                total, squares = 0.0, 0.0
+                for k in range(BATCHES):
+                    value = batches[t, g, k, 0, b]
+                    total += value
+                    squares += value * value
+                spread = max(squares - total * total / BATCHES, 0.0)
+                mean, square = of_groups[0, g, b], of_groups[1, g, b]
+                out[b, i, 0, t, g] = spread * (BATCHES / (BATCHES - 1))
+                out[b, i, 1, t, g] = max(square - mean * mean, 0.0)
 
 
 @part(forceinline=True)
@@ -164,6 +214,7 @@ def fill_outgoing(
                 if drawn.reflection[i, k, d] >= 0:
                     _add_continuation(point, axes, k, reflections, drawn, (i, d), subpaths)
         _store_point(point, out, i)
+        _store_within(point, axes, False, out.within, i)
 
 
 @kernel
@@ -200,6 +251,7 @@ def fill_incident(
                 counted = point.deposit, point.counts
                 add_to_group(point.batches, axes.groups, k, patch, length, *counted, True)
         _store_point(point, out, i)
+        _store_within(point, axes, True, out.within, i)
 
 
 @kernel

@@ -13,8 +13,10 @@ from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     PatchGroups,
     WindowSteps,
+    Within,
     make_groups,
     make_window_steps,
+    make_within,
     moment_rows,
 )
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import DirectedPatches
@@ -43,6 +45,7 @@ class TransferPlan(NamedTuple):
     coarse: CoarseSteps
     groups: PatchGroups
     windows: WindowSteps
+    within: Within
     factor: np.ndarray  # (C, b) 4 / R, 1/m²
     directed: DirectedPatches
     first_bin: int  # of the late bins, among all of an echogram
@@ -79,12 +82,16 @@ def make_transfer_plan(model: Model) -> TransferPlan:
     steps, stretches = make_stretches(edges)
     windows = make_window_steps(batch_edges(model))
     factor = (4.0 * weight).astype(np.float32)
+    groups = make_groups(
+        model.once(patch_groups), weight, windows.steps, model.world.surfaces.kept
+    )
     return TransferPlan(
         steps=steps,
         stretches=stretches,
         coarse=make_coarse(steps, edges, model.config.c),
-        groups=make_groups(model.once(patch_groups), weight, windows.steps, model.world.surfaces.kept),
+        groups=groups,
         windows=windows,
+        within=make_within(groups, weight, steps),
         factor=factor,
         directed=_draw_directed(weight, factor, model.seed),
         first_bin=first_bin,

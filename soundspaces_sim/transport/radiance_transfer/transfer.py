@@ -65,8 +65,11 @@ def _add_error_bars(
 
 
 def _of_band(products: ProductsByBatch, band: int) -> BatchProducts:
-    there, back = (Crossed(way.taken[band, :, :, 0], way.counts[band]) for way in products[2:])
-    return BatchProducts(products.of_a[band], products.of_b[band], there, back)
+    there, back = (
+        Crossed(way.taken[band, :, :, 0], way.counts[band]) for way in (products.there, products.back)
+    )
+    within = (within[band, :, 0] for within in (products.within_a, products.within_b))
+    return BatchProducts(products.of_a[band], products.of_b[band], *within, there, back)
 
 
 def _add_difference(difference: np.ndarray, energies: PairEnergies) -> None:
