@@ -12,17 +12,18 @@ instructions for (`_take_logarithms`).
 
 The variance of a variance from so few batches is large. Bands share the subpaths, so relative variances (of
 levels in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of
-freedom (a moderated variance, Smyth 2004). Deviations over errors are then of Student's t with that many degrees of
-freedom, whose standard deviation is `_STUDENT`: errors are as much larger, so that it is 1.
+freedom (a moderated variance, Smyth 2004). Deviations over errors are then of Student's t with that many degrees
+of freedom, whose standard deviation is `_STUDENT`: errors are as much larger, so that it is 1.
 
 Rare subpaths that carry much may be in none of the batches of one end. Late energies are means of estimates by
-either end. Where half of what a measure differs by between both is above `UNLIKELY` errors, it is the error. Without that
-limit it would be above a right error in one of three cases. An error is at least what denoising late bins has moved
-the measure by (`widened`).
+either end. Where half of what a measure differs by between both is above `UNLIKELY` errors, it is the error. Without
+that limit it would be above a right error in one of three cases. An error is at least what denoising late bins has
+moved the measure by (`widened`).
 
-Out of sight, sound begins where it comes within 20 dB of its peak. The peak is a single bin, whose noise is more than
-that of its window: of energies that are alike its relative variance is that of the window times the ratio of both
-energies. Measures from the onset for a peak one standard error higher, and lower, differ by two standard errors more.
+Out of sight, sound begins where it comes within 20 dB of its peak. The peak is a single bin, whose noise is more
+than that of its window: of energies that are alike its relative variance is that of the window times the ratio of
+both energies. Half of what measures differ by, from the onsets for a peak one standard error higher and lower, adds
+to the error as an independent one.
 """
 
 import math
@@ -101,7 +102,9 @@ class _Work(NamedTuple):
     whole: np.ndarray  # (windows, b) of all batches
     more: np.ndarray  # (K - 1, windows, b) by which batches with +1 exceed those with -1
     levels: _Levels
-    found: np.ndarray  # (M, b, half-samples + 5): of these, of all, by subpaths of either end, by either onset
+    found: (
+        np.ndarray
+    )  # (M, b, half-samples + 5): of these, of all, by subpaths of either end, by either onset
     value: np.ndarray  # (M, b) by which relative errors are multiplied
 
 
@@ -315,7 +318,7 @@ def _by_one_end(sign: float, difference: np.ndarray, work: _Work) -> None:
 
 
 @part
-def _peak_error(samples: _Samples, bins: _Bins, work: _Work) -> float:
+def _peak_error(samples: _Samples, work: _Work) -> float:
     """Relative standard error of the highest rate of all bands, `work.rate` as `_onset` has left it of
     `work.total`; at most 1."""
     peak, first = int(np.argmax(work.rate)), samples.first
@@ -341,10 +344,10 @@ def _peak_error(samples: _Samples, bins: _Bins, work: _Work) -> float:
 
 @part
 def _measure_onsets(pairs: _Pairs, samples: _Samples, work: _Work, k: int) -> bool:
-    """Measures of `work.total`, out of sight, to columns `k` and `k + 1` of `work.found`, from the onsets for a peak
-    one standard error higher and lower; whether these differ."""
+    """Measures of `work.total`, out of sight, to columns `k` and `k + 1` of `work.found`, from the onsets for a
+    peak one standard error lower and higher; whether these differ."""
     _onset(pairs.bins, work, ONSET)
-    higher = 1.0 + _peak_error(samples, pairs.bins, work)
+    higher = 1.0 + _peak_error(samples, work)
     late, early = _onset(pairs.bins, work, ONSET * higher), _onset(pairs.bins, work, ONSET / higher)
     if early == late:
         return False

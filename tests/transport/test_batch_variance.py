@@ -100,7 +100,13 @@ def _products(rng: np.random.Generator, a: int, b: int, groups: int = 0) -> Batc
     of_a, of_b = _random(rng, a, rows, b, STEPS), _random(rng, b, rows, a, STEPS)
     whole = of_a[:, :BATCHES].sum(axis=1).swapaxes(0, 1)
     of_b[:, :BATCHES] *= (whole / of_b[:, :BATCHES].sum(axis=1))[:, None]
-    return BatchProducts(of_a, of_b, _crossed(rng, a, b, groups), _crossed(rng, b, a, groups))
+    crossed = _crossed(rng, a, b, groups), _crossed(rng, b, a, groups)
+    return BatchProducts(of_a, of_b, *_nothing_within(a, b), *crossed)
+
+
+def _nothing_within(a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
+    """Groups of patches hide nothing."""
+    return np.zeros((a, b, STEPS), np.float32), np.zeros((b, a, STEPS), np.float32)
 
 
 def test_energies_of_batches_are_those_of_the_definition() -> None:
@@ -132,6 +138,32 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
     np.testing.assert_allclose(batches.sum(axis=2), total, rtol=1e-5)
 
 
+def test_batches_differ_by_as_much_more_as_groups_hide() -> None:
+    """The variance of a pair's energy by batches is larger by what both ends have within groups, of both directions;
+    energies, and steps in which nothing is hidden, stay."""
+    rng, bins = np.random.default_rng(4), STEPS
+    plain = _products(rng, 1, 1)
+    within_a, within_b = _random(rng, 1, 1, STEPS), _random(rng, 1, 1, STEPS)
+    within_a[..., 3] = within_b[..., 3] = 0.0
+    energies = PairEnergies(rng.random((1, 1, bins)), rng.random((1, 1, bins)), np.ones(bins))
+    places = BinSteps(np.arange(bins), np.arange(bins), np.zeros(bins), np.zeros(STEPS))
+    found = []
+    for products in (plain, plain._replace(within_a=within_a, within_b=within_b)):
+        batches = np.zeros((1, 1, BATCHES, bins))
+        add_batches(
+            0, 1, np.zeros((1, 2), np.int64), energies, products, places, batches, _scratch(BATCHES)
+        )
+        found.append(batches[0, 0])
+    before, after = found
+    np.testing.assert_allclose(after.sum(axis=0), before.sum(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(after[:, 3], before[:, 3])
+    mean = 0.5 * (energies.forward + energies.backward)[0, 0]
+    both = plain.of_a[0, :BATCHES, 0].sum(axis=0).astype(float)  # of both directions
+    hidden = (mean / both) ** 2 * (within_a + within_b)[0, 0]
+    more = BATCHES * (after.var(axis=0, ddof=1) - before.var(axis=0, ddof=1))
+    np.testing.assert_allclose(more, hidden, rtol=1e-3, atol=1e-6 * hidden.max())
+
+
 def test_variance_of_a_product_is_that_of_its_batches() -> None:
     """2,000 products E = V F of independent sums of 16 batches, of relative standard errors .04 and .03.
 
@@ -155,7 +187,7 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     rng = np.random.default_rng(3)
     none = _crossed(rng, runs, 1, 0), _crossed(rng, 1, runs, 0)
     # Both directions are alike: what a batch contributes is twice what it does to one.
-    products = BatchProducts(2.0 * a, 2.0 * b, *none)
+    products = BatchProducts(2.0 * a, 2.0 * b, *_nothing_within(runs, 1), *none)
     add_batches(0, runs, pairs, energies, products, places, batches, _scratch(BATCHES))
     variance = BATCHES * batches[:, 0, :, 0].var(axis=1, ddof=1)
     expected = (1.0 + sd_v**2) * (1.0 + sd_f**2) - 1.0

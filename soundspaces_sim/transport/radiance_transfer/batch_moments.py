@@ -36,7 +36,9 @@ class BatchProducts(NamedTuple):
         np.ndarray
     )  # (A, moment rows, B, T) of each batch of a, and of counts and lengths, with all of b
     of_b: np.ndarray  # (B, moment rows, A, T)
-    within_a: np.ndarray  # (A, B, T) variance of both directions that groups of patches hide, of events of a
+    within_a: (
+        np.ndarray
+    )  # (A, B, T) variance of both directions that groups of patches hide, of events of a
     within_b: np.ndarray  # (B, A, T)
     there: Crossed  # a -> b
     back: Crossed

@@ -84,7 +84,9 @@ class ProductsByBatch(NamedTuple):
 
     of_a: np.ndarray  # (b, A, moment rows, B, T) of each row of a with all of b
     of_b: np.ndarray  # (b, B, moment rows, A, T)
-    within_a: np.ndarray  # (b, A, 1, B, T) variance that groups of patches hide, of a's events; `within_b` likewise
+    within_a: (
+        np.ndarray
+    )  # (b, A, 1, B, T) variance that groups of patches hide, of a's events; `within_b` likewise
     within_b: np.ndarray  # (b, B, 1, A, T)
     there: Crossed
     back: Crossed

@@ -16,13 +16,13 @@ The products by batch are taken at a coarse resolution: steps as long as the win
 kept, and groups of neighbouring patches that see each other. Patches on two sides of a wall receive different sound
 and may not be one group.
 
-A group hides that its patches differ: an event of V counts as what F is on the patch where it lies, and the product
-of groups takes F as even over the group. An event e on patch c is off by e (F_c / R_c − F_g / R_g). Where in the group
-events lie is independent from event to event, so the variance that this adds is
+A group hides that its patches differ: an event of V counts as what F is on the patch where it lies, and the
+product of groups takes F as even over the group. An event e on patch c is off by e (F_c / R_c − F_g / R_g). Where
+in the group events lie is independent from event to event, so the variance that this adds is
 
     Σ_g Var(V_g) ∗ Σ_{c in g} R_c / R_g (F_c / R_c − F_g / R_g)²,
 
-with the variance of V_g by batches, in proportion to R within the group, and the same with V and F in each other's
+with the variance of V_g by batches, in proportion to R within the group; and the same with V and F in each other's
 place (`Within`). Deviations of batches from their mean are as much larger in the step.
 
 Counts of reflections are products, too. In a step they are those of paths of some mean length, which is another
@@ -79,7 +79,9 @@ class Within(NamedTuple):
     """How patches lie within groups, and steps of histograms within those of batches."""
 
     share: np.ndarray  # (C, b) R of the patch / R of its group
-    rows: np.ndarray  # (2, rows, 2) of a histogram, from and to, within a row by batch; outgoing, incident
+    rows: (
+        np.ndarray
+    )  # (2, rows, 2): rows of a histogram, from and to, in one by batch; outgoing, incident
 
 
 class WindowSteps(NamedTuple):
@@ -121,8 +123,8 @@ def make_within(groups: PatchGroups, weight: np.ndarray, fine: TimeSteps) -> Wit
     for s in range(len(wide.step)):
         reached = end >= wide.step[s] * wide.steps[s] - 0.5 * wide.step[s]
         f = int(reached.argmax()) if reached.any() else len(end) - 1  # the first is the finest
-        low = np.arange(fine.steps[f]) + 0.25  # of paths in a row, less half of it: rounding takes .25
-        at = np.stack([low * fine.step[f], low * fine.step[f] + fine.offset[f] - wide.offset[s]])
+        middle = np.arange(fine.steps[f]) + 0.25  # of the lengths that rounding puts into a row
+        at = middle * fine.step[f] + np.array([[0.0], [fine.offset[f] - wide.offset[s]]])
         of_row = (np.maximum(at, 0.0) / wide.step[s] + 0.25).astype(np.int64)
         for way in range(2):
             first = np.searchsorted(of_row[way], np.arange(wide.steps[s] + 1))

@@ -48,7 +48,9 @@ class Histograms(NamedTuple):
 
     energy: np.ndarray  # (b, N, rows, columns)
     batches: np.ndarray  # (b, N, moment rows, steps, groups)
-    within: np.ndarray  # (b, N, 2, steps, groups): variances of sums over batches; of patches, `_store_within`
+    within: (
+        np.ndarray
+    )  # (b, N, 2, steps, groups): variances of sums over batches; of patches, `_store_within`
 
 
 class PointHistograms(NamedTuple):
@@ -131,8 +133,8 @@ def _sum_step(point: PointHistograms, axes: ChunkAxes, t: int, incident: bool, c
 def _store_within(
     point: PointHistograms, axes: ChunkAxes, incident: bool, out: np.ndarray, i: int
 ) -> None:
-    """Fill row `i` of `out` (b, N, 2, steps, groups) with variances of the sums over batches, and the mean square by
-    which patches of a group differ: of F_c / R_c, or of V_c R_g / R_c, with patches counted by R."""
+    """Fill row `i` of `out` (b, N, 2, steps, groups) with variances of the sums over batches, and the mean square
+    by which patches of a group differ: of F_c / R_c, or of V_c R_g / R_c, with patches counted by R."""
     batches, of_groups, first = point.batches, point.of_groups, axes.chunk * CHUNK
     columns = min(len(point.step), len(axes.groups.group) - first)
     for t in range(batches.shape[0]):
