@@ -16,9 +16,9 @@ freedom (a moderated variance, Smyth 2004). Deviations over errors are then of S
 of freedom, whose standard deviation is `_STUDENT`: errors are as much larger, so that it is 1.
 
 Rare subpaths that carry much may be in none of the batches of one end. Late energies are means of estimates by
-either end. Where half of what a measure differs by between both is above `UNLIKELY` errors, it is the error. Without
-that limit it would be above a right error in one of three cases. An error is at least what denoising late bins has
-moved the measure by (`widened`).
+either end. Where half of what a measure differs by between both is above `UNLIKELY` errors, it is the error.
+Without that limit it would be above a right error in one of three cases. An error is at least what denoising late
+bins has moved the measure by (`widened`).
 
 Out of sight, sound begins where it comes within 20 dB of its peak. The peak is a single bin, whose noise is more
 than that of its window: of energies that are alike its relative variance is that of the window times the ratio of
