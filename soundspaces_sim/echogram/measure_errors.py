@@ -22,8 +22,11 @@ bins has moved the measure by (`widened`).
 
 Out of sight, sound begins where it comes within 20 dB of its peak. The peak is a single bin, whose noise is more
 than that of its window: of energies that are alike its relative variance is that of the window times the ratio of
-both energies. Half of what measures differ by, from the onsets for a peak one standard error higher and lower, adds
-to the error as an independent one.
+both energies. Half of what measures differ by, from the onsets for a peak one standard error higher and lower,
+adds to the error as an independent one.
+
+What arrives within 50 or 80 ms of the onset may be by fewer subpaths than early energy as a whole. Errors of
+clarity and definition are known where that part is carried by `LEAST_EFFECTIVE` batches (`_forget_few`).
 """
 
 import math
@@ -41,6 +44,9 @@ _T20, _T30, _EDT, _C50, _C80, _D50, _TS, _DRR = range(len(MEASURES))
 _LEVELS = np.array([name in ("c50", "c80", "drr") for name in MEASURES])  # in dB
 _PRIOR = 15.0
 _STUDENT = math.sqrt((15.0 + _PRIOR) / (13.0 + _PRIOR))
+LEAST_EFFECTIVE = (
+    8.0  # batches that carry an estimate: as of 15 subpaths of equal energy (theory, section 7)
+)
 UNLIKELY = 3.0  # standard errors by which estimates of either end may lie off their mean
 DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
 _LOWEST = 10.0**-3.51  # of the energy of a decay: no measure looks below -35 dB
@@ -100,12 +106,14 @@ class _Work(NamedTuple):
     total: np.ndarray  # (b, bins)
     rate: np.ndarray  # (bins,) energy per time of all bands
     whole: np.ndarray  # (windows, b) of all batches
+    squares: np.ndarray  # (windows, b) of the energies of batches, summed
     more: np.ndarray  # (K - 1, windows, b) by which batches with +1 exceed those with -1
     levels: _Levels
     found: (
         np.ndarray
     )  # (M, b, half-samples + 5): of these, of all, by subpaths of either end, by either onset
     value: np.ndarray  # (M, b) by which relative errors are multiplied
+    inverse: np.ndarray  # (2, b) of `_forget_few`: by band, and in order
 
 
 @part(forceinline=True)
@@ -245,11 +253,16 @@ def _load(pairs: _Pairs, n: int, work: _Work) -> bool:
     return lit
 
 
+@part(forceinline=True)
+def _start(pairs: _Pairs, n: int, lit: bool, work: _Work) -> int:
+    """The bin of the onset of `work.total`."""
+    return _bin(pairs.bins.edges, pairs.delay[n]) if lit else _onset(pairs.bins, work, ONSET)
+
+
 @part
 def _measure(pairs: _Pairs, n: int, lit: bool, work: _Work, k: int) -> None:
     """Measures of `work.total` to column `k` of `work.found`, from the bin of its onset on, as in `measures`."""
-    start = _bin(pairs.bins.edges, pairs.delay[n]) if lit else _onset(pairs.bins, work, ONSET)
-    _measure_from(pairs.bins, start, work, k)
+    _measure_from(pairs.bins, _start(pairs, n, lit, work), work, k)
 
 
 @part
@@ -274,13 +287,14 @@ def _whole(work: _Work) -> None:
 
 @part
 def _sum_batches(samples: _Samples, n: int, work: _Work) -> None:
-    """Fill `work.whole` and `work.more` with what half-samples of pair `n` differ by."""
+    """Fill `work.whole`, `work.squares`, and `work.more` with what half-samples of pair `n` differ by."""
     batches, signs = samples.batches[n], samples.signs
-    work.whole[:], work.more[:] = 0.0, 0.0
+    work.whole[:], work.squares[:], work.more[:] = 0.0, 0.0, 0.0
     for k in range(len(batches)):
         for w in range(batches.shape[1]):
             for b in range(batches.shape[2]):
                 work.whole[w, b] += batches[k, w, b]
+                work.squares[w, b] += np.float64(batches[k, w, b]) ** 2
         for h in range(len(signs)):
             sign = signs[h, k]
             for w in range(batches.shape[1]):
@@ -356,6 +370,36 @@ def _measure_onsets(pairs: _Pairs, samples: _Samples, work: _Work, k: int) -> bo
     return True
 
 
+@part
+def _forget_few(
+    samples: _Samples, bins: _Bins, start: int, after: float, work: _Work, out: np.ndarray
+) -> None:
+    """Make errors `out` (b,) NaN of bands in which too few batches carry what arrives up to `after` s from bin
+    `start` on. Bands share the subpaths: 1 / number is drawn half way to their median."""
+    bands, first, batches = len(work.total), samples.first, samples.batches.shape[1]
+    end, inverse = bins.edges[start] + after, work.inverse
+    for b in range(bands):
+        by_number, random, whole = 0.0, 0.0, 0.0
+        for w in range(len(first) - 1):
+            low, high = bins.edges[first[w]], bins.edges[first[w + 1]]
+            share = min(max((end - low) / (high - low), 0.0), 1.0)
+            random += share * work.whole[w, b]
+            if work.whole[w, b] > 0.0:
+                by_number += share * work.squares[w, b] / work.whole[w, b]
+            whole += share * (work.whole[w, b] + _sum(work.fixed[b, first[w] : first[w + 1]]))
+        by_number += (whole - random) / batches
+        inverse[0, b] = by_number / whole if whole > 0.0 else 1.0 / batches
+        place = b
+        while place > 0 and inverse[1, place - 1] > inverse[0, b]:
+            inverse[1, place] = inverse[1, place - 1]
+            place -= 1
+        inverse[1, place] = inverse[0, b]
+    median = 0.5 * (inverse[1, bands // 2] + inverse[1, (bands - 1) // 2])
+    for b in range(bands):
+        if 0.5 * (inverse[0, b] + median) > 1.0 / LEAST_EFFECTIVE:
+            out[b] = math.nan
+
+
 @part(forceinline=True)
 def _spread(found: np.ndarray, halves: int) -> float:
     """Root of the mean square by which the first `halves` of `found` differ from the value that follows them."""
@@ -380,6 +424,7 @@ def _errors(
             _measure(pairs, n, lit, work, k)
         _whole(work)
         _measure(pairs, n, lit, work, halves)
+        start = _start(pairs, n, lit, work)
         doubtful = not lit and _measure_onsets(pairs, samples, work, halves + 3)
         for end in range(2):
             _by_one_end(2.0 * end - 1.0, samples.difference[n], work)
@@ -401,6 +446,9 @@ def _errors(
                 if doubtful:
                     apart = 0.5 * (found[m, b, halves + 4] - found[m, b, halves + 3])
                     out[row, m, b] = math.hypot(out[row, m, b], apart)
+        _forget_few(samples, pairs.bins, start, 0.05, work, out[row, _C50])
+        _forget_few(samples, pairs.bins, start, 0.05, work, out[row, _D50])
+        _forget_few(samples, pairs.bins, start, 0.08, work, out[row, _C80])
 
 
 @kernel
@@ -494,11 +542,12 @@ def _make_work(bins: int, bands: int, columns: int, halves: int = 0, windows: in
     return _Work(
         *np.empty((3, bands, bins)),
         np.empty(bins),
-        np.empty((windows, bands)),
+        *np.empty((2, windows, bands)),
         np.empty((halves, windows, bands)),
         _Levels(np.empty(bins), ratio, ratio.view(np.int32), scaled, scaled.view(np.int32), exponent),
         np.empty((*shape, columns)),
         np.empty(shape),
+        np.empty((2, bands)),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread, thread_count
 from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
-from soundspaces_sim.echogram.measure_errors import UNLIKELY, measure_errors
+from soundspaces_sim.echogram.measure_errors import LEAST_EFFECTIVE, UNLIKELY, measure_errors
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import EARLY_S, Model
@@ -39,9 +39,6 @@ from soundspaces_sim.transport.tile import (
 from soundspaces_sim.transport.walks import make_left, make_walks
 
 Progress = Callable[[int], None]  # points traced
-LEAST_EFFECTIVE = (
-    8.0  # batches that carry an estimate: as of 15 subpaths of equal energy (theory, section 7)
-)
 _STUDENT = np.sqrt(
     (BATCHES - 1) / (BATCHES - 3)
 )  # standard deviation of a deviation over an error by so many batches (Student's t)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.integrator import LEAST_EFFECTIVE, effective_batches, stated
+from soundspaces_sim.echogram.measure_errors import LEAST_EFFECTIVE
+from soundspaces_sim.transport.integrator import effective_batches, stated
 from soundspaces_sim.transport.tables import BATCHES
 from tests.marks import ci_slow
 from tests.rooms import box, table
