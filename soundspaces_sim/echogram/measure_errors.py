@@ -25,8 +25,9 @@ than that of its window: of energies that are alike its relative variance is tha
 both energies. Half of what measures differ by, from the onsets for a peak one standard error higher and lower,
 adds to the error as an independent one.
 
-What arrives within 50 or 80 ms of the onset may be by fewer subpaths than early energy as a whole. Errors of
-clarity and definition are known where that part is carried by `LEAST_EFFECTIVE` batches (`_forget_few`).
+What a measure rests on may be by fewer subpaths than early or late energy as a whole: what comes within 50 or 80 ms
+of the onset, for clarity and definition; for reverberation times, what is left where the levels end to which a line
+is fitted. Where `LEAST_EFFECTIVE` batches do not carry it, the error is not known (`_forget_few`).
 """
 
 import math
@@ -48,6 +49,11 @@ LEAST_EFFECTIVE = (
     8.0  # batches that carry an estimate: as of 15 subpaths of equal energy (theory, section 7)
 )
 UNLIKELY = 3.0  # standard errors by which estimates of either end may lie off their mean
+#: What errors rest on: energy up to so many s from the onset, or what is left at such a level; and which on which.
+_RESTS_ON = ((0.05, 0.0), (0.08, 0.0), (0.0, 0.1), (0.0, 10.0**-2.5), (0.0, 10.0**-3.5))
+_RESTING = np.array(
+    [{"c50": 0, "d50": 0, "c80": 1, "edt": 2, "t20": 3, "t30": 4}.get(m, -1) for m in MEASURES]
+)
 DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
 _LOWEST = 10.0**-3.51  # of the energy of a decay: no measure looks below -35 dB
 _ROOT_BITS = np.int32(0x3F3504F3)  # of the root of one half in single precision
@@ -371,33 +377,59 @@ def _measure_onsets(pairs: _Pairs, samples: _Samples, work: _Work, k: int) -> bo
 
 
 @part
-def _forget_few(
-    samples: _Samples, bins: _Bins, start: int, after: float, work: _Work, out: np.ndarray
-) -> None:
-    """Make errors `out` (b,) NaN of bands in which too few batches carry what arrives up to `after` s from bin
-    `start` on. Bands share the subpaths: 1 / number is drawn half way to their median."""
-    bands, first, batches = len(work.total), samples.first, samples.batches.shape[1]
-    end, inverse = bins.edges[start] + after, work.inverse
-    for b in range(bands):
-        by_number, random, whole = 0.0, 0.0, 0.0
-        for w in range(len(first) - 1):
-            low, high = bins.edges[first[w]], bins.edges[first[w + 1]]
-            share = min(max((end - low) / (high - low), 0.0), 1.0)
-            random += share * work.whole[w, b]
-            if work.whole[w, b] > 0.0:
-                by_number += share * work.squares[w, b] / work.whole[w, b]
-            whole += share * (work.whole[w, b] + _sum(work.fixed[b, first[w] : first[w + 1]]))
-        by_number += (whole - random) / batches
-        inverse[0, b] = by_number / whole if whole > 0.0 else 1.0 / batches
-        place = b
-        while place > 0 and inverse[1, place - 1] > inverse[0, b]:
-            inverse[1, place] = inverse[1, place - 1]
-            place -= 1
-        inverse[1, place] = inverse[0, b]
-    median = 0.5 * (inverse[1, bands // 2] + inverse[1, (bands - 1) // 2])
-    for b in range(bands):
-        if 0.5 * (inverse[0, b] + median) > 1.0 / LEAST_EFFECTIVE:
-            out[b] = math.nan
+def _inverse_number(
+    samples: _Samples, bins: _Bins, work: _Work, b: int, begin: float, end: float
+) -> float:
+    """1 / the number of batches that carry what arrives from `begin` to `end` s in a band, in the harmonic mean
+    over energy (`integrator.effective_batches`); what is exact is carried by all."""
+    first, batches = samples.first, samples.batches.shape[1]
+    by_number, whole = 0.0, 0.0
+    for w in range(len(first) - 1):
+        low, high = bins.edges[first[w]], bins.edges[first[w + 1]]
+        share = max((min(end, high) - max(begin, low)) / (high - low), 0.0)
+        exact = share * _sum(work.fixed[b, first[w] : first[w + 1]])
+        by_number += exact / batches
+        if work.whole[w, b] > 0.0:
+            by_number += share * work.squares[w, b] / work.whole[w, b]
+        whole += exact + share * work.whole[w, b]
+    return by_number / whole if whole > 0.0 else 1.0 / batches
+
+
+@part(forceinline=True)
+def _level_time(bins: _Bins, total: np.ndarray, level: float) -> float:
+    """When as much of all energy is left as `level` says."""
+    least, left, t = level * _sum(total), 0.0, len(total)
+    while t > 0 and left < least:
+        t -= 1
+        left += total[t]
+    return bins.edges[t]  # type: ignore[no-any-return]
+
+
+@part
+def _forget_few(samples: _Samples, bins: _Bins, start: int, work: _Work, out: np.ndarray) -> None:
+    """Make errors `out` (M, b) NaN where too few batches carry what a measure rests on: what comes up to 50 or
+    80 ms from bin `start` on, or what is left at the end of the levels to which a line is fitted. Bands share the
+    subpaths: 1 / number is drawn half way to their median."""
+    bands, inverse = len(work.total), work.inverse
+    onset, last = bins.edges[start], bins.edges[len(bins.edges) - 1]
+    for n in range(len(_RESTS_ON)):
+        after, level = _RESTS_ON[n]
+        for b in range(bands):
+            begin, end = onset, onset + after
+            if level > 0.0:
+                begin, end = _level_time(bins, work.total[b], level), last
+            inverse[0, b] = _inverse_number(samples, bins, work, b, begin, end)
+            place = b
+            while place > 0 and inverse[1, place - 1] > inverse[0, b]:
+                inverse[1, place] = inverse[1, place - 1]
+                place -= 1
+            inverse[1, place] = inverse[0, b]
+        median = 0.5 * (inverse[1, bands // 2] + inverse[1, (bands - 1) // 2])
+        for b in range(bands):
+            if 0.5 * (inverse[0, b] + median) > 1.0 / LEAST_EFFECTIVE:
+                for m in range(len(out)):
+                    if _RESTING[m] == n:
+                        out[m, b] = math.nan
 
 
 @part(forceinline=True)
@@ -426,6 +458,8 @@ def _errors(
         _measure(pairs, n, lit, work, halves)
         start = _start(pairs, n, lit, work)
         doubtful = not lit and _measure_onsets(pairs, samples, work, halves + 3)
+        out[row] = 0.0
+        _forget_few(samples, pairs.bins, start, work, out[row])
         for end in range(2):
             _by_one_end(2.0 * end - 1.0, samples.difference[n], work)
             _measure(pairs, n, lit, work, halves + 1 + end)
@@ -434,7 +468,7 @@ def _errors(
                 scale = 1.0 if _LEVELS[m] else found[m, b, halves]
                 if m == _D50:  # alike over bands is the error of C50, 10 lg(D / (1 - D))
                     scale *= 1.0 - scale
-                out[row, m, b] = _spread(found[m, b], halves) / scale if scale > 0.0 else math.nan
+                out[row, m, b] += _spread(found[m, b], halves) / scale if scale > 0.0 else math.nan
                 value[m, b] = scale
         _moderate(out[row], degrees)
         for m in range(out.shape[1]):
@@ -446,9 +480,6 @@ def _errors(
                 if doubtful:
                     apart = 0.5 * (found[m, b, halves + 4] - found[m, b, halves + 3])
                     out[row, m, b] = math.hypot(out[row, m, b], apart)
-        _forget_few(samples, pairs.bins, start, 0.05, work, out[row, _C50])
-        _forget_few(samples, pairs.bins, start, 0.05, work, out[row, _D50])
-        _forget_few(samples, pairs.bins, start, 0.08, work, out[row, _C80])
 
 
 @kernel

@@ -69,7 +69,7 @@ def _far_apart(echoes: Echograms, batches: np.ndarray, name: str) -> float:
 
 def test_errors_are_the_spread_of_estimates() -> None:
     """Within 8 %: 4 standard errors of a standard deviation from 1,500 runs, and 1 % for other bins."""
-    echoes, batches = _estimates(0.4)
+    echoes, batches = _estimates(0.2)  # so that all are known
     found = measure_errors(echoes, batches, APART, WINDOW) / module._STUDENT
     assert np.all(found > 0.0)
     values = echograms_measures(echoes)
@@ -164,6 +164,32 @@ def test_without_noise_there_is_no_error_and_what_is_not_known_is_nan() -> None:
     assert found.max() < 1e-3
     nothing = replace(echoes, energy=0.0 * echoes.energy, direct_energy=0.0 * echoes.direct_energy)
     assert np.isnan(measure_errors(nothing, 0.0 * batches, APART, WINDOW)).all()
+
+
+@pytest.mark.parametrize(
+    ("lucky", "unknown"),
+    [
+        (slice(0, 1), {"c50", "d50", "c80"}),  # up to 40 ms
+        (
+            slice(1, 2),
+            {"c80", "edt"},
+        ),  # a third of it is before 50 ms; at -10 dB, 50 ms, it is what is left
+        (slice(4, None), {"t20", "t30"}),  # from .16 s on: a fifth of what is left at -25 dB, .125 s
+        (slice(5, None), {"t30"}),  # from .2 s on: a third of what is left at -35 dB, 3 % at -25 dB
+    ],
+)
+def test_what_few_batches_carry_is_not_known(lucky: slice, unknown: set[str]) -> None:
+    """One batch alone makes windows of 40 ms of a decay of 60 dB in .3 s: errors of the measures that rest on these
+    are NaN, and of no others."""
+    echoes, batches = _estimates(0.05)
+    few, one = np.repeat(batches[:1, ..., :1], BANDS, axis=-1), _rows(echoes, slice(0, 1))
+    few[:, :, :, lucky], few[:, :, 0, lucky] = 0.0, few[:, :, :, lucky].sum(axis=2)
+    energy = np.repeat(one.energy[..., :1], BANDS, axis=-1)
+    dim = replace(one, energy=energy, direct_energy=0.01 * one.direct_energy)
+    found = measure_errors(dim, few, APART[:1], WINDOW)[0, 0]
+    for m, name in enumerate(MEASURES):
+        if name != "ts" and name != "drr":
+            assert np.isnan(found[m]).all() == np.isnan(found[m]).any() == (name in unknown), name
 
 
 def test_times_with_large_errors_are_not_told() -> None:
