@@ -402,7 +402,7 @@ def _level_time(bins: _Bins, total: np.ndarray, level: float) -> float:
     while t > 0 and left < least:
         t -= 1
         left += total[t]
-    return bins.edges[t]  # type: ignore[no-any-return]
+    return bins.edges[t]
 
 
 @part

@@ -72,7 +72,7 @@ def _alone(ends: Endpoints, i: int) -> Endpoints:
 def _by_window(edges: np.ndarray, split: float, values: np.ndarray) -> np.ndarray:
     """(2, K, b) early and late sums of `values` (K, bins, b)."""
     late = np.clip((edges[1:] - split) / np.diff(edges), 0.0, 1.0)
-    return np.einsum("wt,ktb->wkb", np.stack([1.0 - late, late]), values)
+    return np.asarray(np.einsum("wt,ktb->wkb", np.stack([1.0 - late, late]), values))
 
 
 @pytest.mark.slow

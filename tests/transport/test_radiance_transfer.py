@@ -16,6 +16,7 @@ from soundspaces_sim.transport.radiance_transfer.arrival_directions import depos
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     make_groups,
     make_window_steps,
+    make_within,
     moment_rows,
 )
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay, fit_decay
@@ -113,6 +114,7 @@ def _plan(rng: np.random.Generator) -> tuple[TransferPlan, TransferSubpaths]:
         coarse=make_coarse(steps, EDGES, C),
         groups=groups,
         windows=windows,
+        within=make_within(groups, weight, steps),
         factor=factor,
         directed=DirectedPatches(np.arange(PATCHES), np.arange(PATCHES), factor),
         first_bin=2,
@@ -291,6 +293,67 @@ def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
             np.testing.assert_allclose(across, expected, rtol=1e-3, atol=1e-4 * expected.max())
     for expected, by_batch in ((of_a, products.of_a[:, i, :, j]), (of_b, products.of_b[:, j, :, i])):
         np.testing.assert_allclose(by_batch, expected, rtol=1e-3, atol=1e-4 * expected.max())
+
+
+def _spread_in_groups(
+    plan: TransferPlan, events: list[Event], incident: bool, s: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(groups, steps of stretch s, b), both: variances of sums over batches, and the mean square by which the patches of
+    a group differ. Events are in steps of batches, of patches by way of bins."""
+    wide, fine = plan.windows.steps, plan.steps
+    f = int((fine.step * fine.steps > (wide.steps[s] - 0.5) * wide.step[s]).argmax())
+    chunk = np.arange(PATCHES) // CHUNK
+    place = np.unique(np.stack([chunk, plan.groups.group], axis=1), axis=0, return_inverse=True)[
+        1
+    ].ravel()
+    steps, strength = int(wide.steps[s]), 4.0 / plan.factor.astype(float)
+    of_batch = np.zeros((BATCHES, place.max() + 1, steps, BANDS))
+    of_patch = np.zeros((PATCHES, steps, BANDS))
+    for e in events:
+        offset = wide.offset[s] if incident else 0.0
+        row = int(max(e.length - offset, 0.0) / wide.step[s] + 0.25)
+        if row < steps:
+            of_batch[e.batch, place[e.patch], row] += e.energy
+        offset = fine.offset[f] if incident else 0.0
+        bin_row = int(max(e.length - offset, 0.0) / fine.step[f] + 0.25)
+        middle = (bin_row + 0.25) * fine.step[f] + (fine.offset[f] - wide.offset[s] if incident else 0.0)
+        row = int(max(middle, 0.0) / wide.step[s] + 0.25)
+        if bin_row < fine.steps[f] and row < steps:
+            of_patch[e.patch, row] += e.energy
+    of_group, squares = np.zeros((2, *of_batch.shape[1:]))
+    whole = np.zeros((len(of_group), BANDS))
+    np.add.at(whole, place, strength)
+    np.add.at(of_group, place, of_patch)
+    np.add.at(squares, place, of_patch**2 / strength[:, None])
+    apart = squares / whole[:, None] - (of_group / whole[:, None]) ** 2  # of X_c / R_c, by R
+    variance = BATCHES * of_batch.var(axis=0, ddof=1)
+    return variance, apart
+
+
+def test_what_groups_hide_is_variances_times_how_patches_differ(case: Case) -> None:
+    """Step by step, of events of either end, as V and as F."""
+    plan, of, to, found = case
+    i, j = 1, 0
+    ends = [
+        (list(_outgoing(of, i)), list(_incident(of, i))),
+        (list(_outgoing(to, j)), list(_incident(to, j))),
+    ]
+    hidden = found.products.within_a[:, i, 0, j], found.products.within_b[:, j, 0, i]
+    for own, (of_own, of_other) in enumerate((ends, ends[::-1])):
+        for s, stretch in enumerate(plan.windows.stretches):
+            steps = int(plan.windows.steps.steps[s])
+            expected = np.zeros((BANDS, steps))
+            for incident in (False, True):
+                variance, _ = _spread_in_groups(plan, of_own[int(incident)], incident, s)
+                _, apart = _spread_in_groups(plan, of_other[int(not incident)], not incident, s)
+                for b in range(BANDS):
+                    for v, d in zip(variance[:, :, b], apart[:, :, b], strict=True):
+                        expected[b] += np.convolve(v, d)[:steps]
+            kept = stretch.bins.stop - stretch.bins.start
+            expected = expected[:, steps - kept :]
+            assert (expected > 0.0).all()
+            atol = 1e-4 * expected.max()
+            np.testing.assert_allclose(hidden[own][:, stretch.bins], expected, rtol=1e-3, atol=atol)
 
 
 def test_points_with_themselves_have_what_they_have_with_others(case: Case) -> None:

@@ -68,8 +68,8 @@ def _of_band(products: ProductsByBatch, band: int) -> BatchProducts:
     there, back = (
         Crossed(way.taken[band, :, :, 0], way.counts[band]) for way in (products.there, products.back)
     )
-    within = (within[band, :, 0] for within in (products.within_a, products.within_b))
-    return BatchProducts(products.of_a[band], products.of_b[band], *within, there, back)
+    within_a, within_b = products.within_a[band, :, 0], products.within_b[band, :, 0]
+    return BatchProducts(products.of_a[band], products.of_b[band], within_a, within_b, there, back)
 
 
 def _add_difference(difference: np.ndarray, energies: PairEnergies) -> None:
