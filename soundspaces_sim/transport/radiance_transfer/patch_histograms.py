@@ -118,15 +118,15 @@ def _store_point(point: PointHistograms, out: Histograms, i: int) -> None:
 
 
 @part
-def _sum_step(point: PointHistograms, axes: ChunkAxes, t: int, incident: bool, columns: int) -> None:
+def _sum_step(point: PointHistograms, axes: ChunkAxes, t: int, incident: bool) -> None:
     """Fill `point.step` with the energy of the patches in step `t` of batches."""
     low, high = axes.within.rows[int(incident), t]
-    step = point.step
-    step[:columns] = 0.0
+    step = point.step.reshape(-1)
+    step[:] = 0.0
     for r in range(low, high):
-        for c in range(columns):
-            for b in range(step.shape[1]):
-                step[c, b] += point.energy[r, c, b]
+        of_row = point.energy[r].reshape(-1)
+        for n in range(len(step)):
+            step[n] += of_row[n]
 
 
 @part
@@ -138,7 +138,7 @@ def _store_within(
     batches, of_groups, first = point.batches, point.of_groups, axes.chunk * CHUNK
     columns = min(len(point.step), len(axes.groups.group) - first)
     for t in range(batches.shape[0]):
-        _sum_step(point, axes, t, incident, columns)
+        _sum_step(point, axes, t, incident)
         of_groups[:] = 0.0
         for c in range(columns):
             g = axes.groups.group[first + c]
