@@ -16,7 +16,7 @@ class WindowLayout(NamedTuple):
 
 
 # A line is fitted to the first 10 dB in a few of these: half-samples do not know noise within a window.
-ERROR_BARS = WindowLayout(0.3, 1.0 / 30.0, 8)
+ERROR_BARS = WindowLayout(0.3, 0.025, 8)
 COUNTS = WindowLayout(0.25, 0.01, 10)  # bins of 10 ms differ in what they have met
 
 
