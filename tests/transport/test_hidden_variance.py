@@ -91,10 +91,10 @@ def test_error_bars_are_those_of_products_at_full_resolution() -> None:
     for point in points[1:4]:
         a, b = replace(source), _runs_of(model, point)
         tile = make_tile(model, a, b, False)
-        integrator._trace(tile, [SPECULAR], None, None)
+        walks = integrator._trace(tile, [SPECULAR], None, None)
         tile.batches[:] = 0.0
-        integrator.connect_all(tile, [RADIANCE_TRANSFER])
-        of_a, of_b = a.once(make_endpoints), b.once(make_endpoints)
+        integrator.connect_all(tile, [RADIANCE_TRANSFER], walks)
+        of_a, of_b = (of_side.once(make_endpoints) for of_side in walks)
         split = tile.distance[0, 0] / model.config.c + EARLY_S
         variances = []
         for i in range(RUNS):
