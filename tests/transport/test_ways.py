@@ -67,6 +67,17 @@ def test_first_arrivals_go_the_shortest_way() -> None:
     assert np.mean(np.array(late) < 0.3) >= 0.95, np.sort(late)[-20:]
 
 
+def test_arrivals_are_the_same_with_every_seed() -> None:
+    """A pair is solved from one of its ends, and some ways are found from one of them alone: which one is no matter of
+    chance."""
+    scene = ss.load_scene("demo")
+    points = ss.make_grid(scene, 2.0).points[:12]
+    one, other = (ss.simulate(scene, points, points, edges_alone(duration=0.1), seed) for seed in (1, 2))
+    for i, j in np.argwhere(np.tri(len(points), k=-1)).tolist():
+        first, second = ([(a.delay, *a.energy) for a in e[i, j].arrivals] for e in (one, other))
+        assert first == second
+
+
 def test_levels_far_round() -> None:
     """Six pairs of walls, four listeners each: rms 2, 3, 4, 5 dB in four bands, deep in the shadow, where sound is 17 to
     50 dB below a free field."""

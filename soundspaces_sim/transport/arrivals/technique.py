@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.transport.arrivals.connect import Context, Scratch, find_arrivals
 from soundspaces_sim.transport.arrivals.cover import make_cover
 from soundspaces_sim.transport.arrivals.direct import direct_sound
@@ -55,7 +56,9 @@ def edges_of(model: Model) -> Edges:
 def sight_of(side: Side) -> Sight:
     """What a side's points see: `side.once(sight_of)`."""
     model = side.model
-    return find_sight(model.once(view_of), model.once(edges_of), side.ends.points, side.ends.keys)
+    points = side.ends.points
+    keys = point_keys(points, 0)  # what arrives is the same with every seed
+    return find_sight(model.once(view_of), model.once(edges_of), points, keys)
 
 
 def connect(tile: Tile) -> PathTable:
