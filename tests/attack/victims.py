@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import pickle
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -15,14 +16,8 @@ import h5py
 import networkx
 import numpy as np
 import trimesh
-from soundspaces_room_programs.catt import read_catt
-from soundspaces_room_programs.gmsh import read_gmsh
-from soundspaces_room_programs.isimpa import read_project
-from soundspaces_room_programs.odeon import read_odeon
 
 import soundspaces_sim as ss
-from neighbours.room_programs.tests.test_isimpa import project
-from neighbours.room_programs.tests.test_room_programs import catt, gmsh, odeon
 from soundspaces_sim.build.job_file import NAME, _read, open_job
 from soundspaces_sim.dataset.exporters.plan import choose_pairs
 from soundspaces_sim.dataset.exporters.points import read_graph, read_points
@@ -38,6 +33,16 @@ from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
 from tests.scene.test_habitat_layouts import gibson, hm3d
+
+# The neighbour's readers are attacked with the core's, installed or not.
+sys.path.append(str(Path(__file__).parents[2] / "neighbours" / "room_programs" / "src"))
+from soundspaces_room_programs.catt import read_catt
+from soundspaces_room_programs.gmsh import read_gmsh
+from soundspaces_room_programs.isimpa import read_project
+from soundspaces_room_programs.odeon import read_odeon
+
+from neighbours.room_programs.tests.test_isimpa import project
+from neighbours.room_programs.tests.test_room_programs import catt, gmsh, odeon
 
 
 @dataclass(frozen=True)
