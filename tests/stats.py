@@ -13,7 +13,9 @@ def z_scores(samples: np.ndarray, expected: ArrayLike) -> np.ndarray:
     """z of the mean of independent repetitions (first axis) against an exact expectation."""
     samples = np.asarray(samples, float)
     error = samples.std(axis=0, ddof=1) / np.sqrt(len(samples))
-    return np.asarray((samples.mean(axis=0) - expected) / error)
+    off = np.asarray(samples.mean(axis=0) - expected)
+    exact = np.where(np.abs(off) <= 1e-9 * np.abs(expected), 0.0, np.inf)  # of what no chance decides
+    return np.asarray(np.divide(off, error, out=exact, where=error > 1e-12 * np.abs(expected)))
 
 
 def limit(family: int, single: float = 4.0) -> float:
