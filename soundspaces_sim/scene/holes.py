@@ -1,8 +1,8 @@
 """Small holes in a mesh are closed, as scanners leave them: triangles that are missing from a surface.
 
 Sound leaks through a hole: where a hundredth of a wall is missing, what arrives behind it first has come through
-there, and not through the door. A hole is a loop of sides that one triangle has each, with the surface outside of
-it; about a sheet it is inside. Openings that people make are larger.
+there, and not through the door. A hole is a loop of edges that belong to one triangle each, with the surface
+outside of the loop; about a sheet it is inside. Openings that people make are larger.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from soundspaces_sim.scene.triangles import areas, weld
 _AROUND = 0.6  # m, around a hole that is closed: 20 cm of three sides, where openings that people make have more
 _SIDES = 12  # of such a hole at most
 _STEPS = 4000  # by which loops through a side are searched
-_ACROSS = 0.3  # least cosine between the way to the middle and that into the surface, which is not at a right angle
+_ACROSS = 0.3  # cosine to the way to the loop's middle, up to which a surface turns there at an edge
 _WELD = 5  # decimals of a metre
 
 

@@ -77,7 +77,7 @@ class Sight(NamedTuple):
     """N points and what they see, themselves and by their images."""
 
     points: np.ndarray  # (N, 3) m
-    keys: np.ndarray  # (N,) of `point_keys`: of a pair the smaller one's point comes first
+    keys: np.ndarray  # (N,) of `point_keys`, of no seed: of a pair the smaller one's point comes first
     sequences: Sequences
     ends: np.ndarray  # (N + 1,) first end of each point
     plane: np.ndarray  # (n,) of each end, -1 of a point itself
