@@ -136,7 +136,7 @@ def test_one_wall_can_change_much(before: float, after: float) -> None:
     walls = np.array([before, 0.1, 0.08, 0.12, 0.1, 0.15])[:, None] * np.array([0.6, 0.8, 1.0, 1.0])
     other = walls.copy()
     other[0] *= after / before
-    config = plain(walks=320, duration=0.3, materials=True)
+    config = plain(walks=400, duration=0.3, materials=True)
     z: list[np.ndarray] = []
     unchanged: list[np.ndarray] = []
     for seed in range(3):
