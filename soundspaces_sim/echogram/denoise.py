@@ -2,7 +2,10 @@
 
 Every late bin E is the mean of two estimates: by subpaths of one end, and by subpaths of the other. Half of their
 difference D has the mean zero and the noise of E, bin by bin, and costs nothing. So the share of noise in the
-structure of E is known at every scale and place: it is that of the same structure of D.
+structure of E is known at every scale and place: it is that of the same structure of D. A subpath that both
+estimates have in common is no part of D, but of one batch of subpaths: where the variance by batches of a window of
+time is more than `_LACKING` times the sum of D², what is lacking is added to D², to each bin in proportion to
+E² − D².
 
 Scales are those of the wavelet transform "à trous" with the B3 spline h (Starck & Murtagh 1994). Energies are
 taken relative to a decay f,
@@ -17,12 +20,14 @@ Details S_(j−1) − S_j are shrunk by the share of noise in their energy, pool
 shrinkage, Gao & Bruce 1997). What is retained at a scale is retained at all coarser ones, so the result is f
 times a mean of raw E / f with weights from 0 to 1: no energy becomes negative, and ratios of moments to energy
 stay in their bounds. In the end every window gets back the energy that it had, by a factor that is continuous and
-log-linear between centres; what its fit leaves (less than .01 dB) by one factor per window.
+log-linear between centres; what its fit leaves (less than .01 dB) by one factor per window. Rises that few
+subpaths have made are spread over earlier windows before (`pool_windows`).
 
 Sources: J.-L. Starck and F. Murtagh (1994), Astronomy and Astrophysics 288, 342–348; H.-Y. Gao and A. G. Bruce
 (1997), WaveShrink with firm shrinkage, Statistica Sinica 7, 855–874.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +35,7 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.echogram.decay_curves import CurveScratch, fit_curve, make_curve_scratch
 from soundspaces_sim.echogram.denoise_plan import DenoisePlan, PairWindows, cut_windows
+from soundspaces_sim.echogram.pool_windows import Groups, make_groups, pool_windows
 from soundspaces_sim.echogram.wavelets import (
     RunningSums,
     ScaleBins,
@@ -40,19 +46,28 @@ from soundspaces_sim.echogram.wavelets import (
 
 _BLUR = 0.5  # part of the difference's energy that is noise where detectors are wider than the scale: each is
 # another mean over places, and a single arrival comes at other times
+_LACKING = (
+    2.0  # times the variance that D tells of: by chance one in forty estimates from batches is more
+)
 
 
-class _Moved(NamedTuple):
-    """Energy that comes from one window into another; without windows, of no bins."""
+class Noise(NamedTuple):
+    """What is known of the noise of echograms' energies."""
 
+    difference: (
+        np.ndarray
+    )  # (S, L, late bins, b) D, half of what estimates by either end differ by, of any sign
+    error: np.ndarray  # (S, L, W, b) standard errors of energies in windows of time, by batches
     window: np.ndarray  # (bins,) number among W
-    energy: np.ndarray  # (S, L, W, W, b) J/m², into the first and from the second
 
 
 class _Work(NamedTuple):
     """What a pair is worked on in."""
 
     row: np.ndarray  # (bins, channels, b) of a pair with shares of windows; no bins without them
+    squares: np.ndarray  # (W, b) of E² − D²
+    known: np.ndarray  # (W, b) of D²
+    noise: np.ndarray  # (late bins, b)
     fine: ScaleBins
     coarse: ScaleBins
     decay: np.ndarray  # (late bins, b) f
@@ -60,6 +75,7 @@ class _Work(NamedTuple):
     weight: np.ndarray  # (b,)
     out: np.ndarray  # (late bins, 9 b) smoothed
     windows: PairWindows
+    groups: Groups
     curves: CurveScratch
 
 
@@ -71,8 +87,8 @@ class _Span(NamedTuple):
     windows: int  # of the pair to which curves are fitted
 
 
-def _make_work(plan: DenoisePlan, total: int, channels: int, bands: int) -> _Work:
-    """For `channels` of energies; `total`: bins of `_Work.row`."""
+def _make_work(plan: DenoisePlan, total: int, channels: int, bands: int, of_time: int) -> _Work:
+    """For `channels` of energies; `total`: bins of `_Work.row`; `of_time`: windows of time, W."""
     bins = int(np.diff(plan.stretches).max(initial=0))
     late, windows = len(plan.edges) - 1, len(plan.windows) + 1
 
@@ -84,24 +100,53 @@ def _make_work(plan: DenoisePlan, total: int, channels: int, bands: int) -> _Wor
     sums = np.empty((windows, (channels + 1) * bands))
     return _Work(
         row=np.empty((total, channels, bands), np.float32),
+        squares=np.empty((of_time, bands)),
+        known=np.empty((of_time, bands)),
+        noise=np.empty((late, bands)),
         fine=make_bins(),
         coarse=make_bins(),
         decay=np.empty((late, bands)),
         running=RunningSums(*np.empty((2, bins + 1))),
         weight=np.empty(bands),
         out=np.empty((late, channels * bands)),
-        windows=PairWindows(ends, wide, np.empty((windows, bands)), sums),
+        windows=PairWindows(ends, wide, np.empty((windows, bands)), sums, np.empty((windows, bands))),
+        groups=make_groups(windows),
         curves=make_curve_scratch(windows, late),
     )
 
 
 @part
-def _sum_windows(
-    row: np.ndarray, difference: np.ndarray, first: int, count: int, fitted: int, windows: PairWindows
+def _find_noise(
+    row: np.ndarray, difference: np.ndarray, error: np.ndarray, window: np.ndarray, work: _Work
 ) -> None:
-    """Sum a pair's `row` (bins, 9, b), from bin `first` on, and `difference` (late bins, b) over its windows."""
+    """The noise of a pair's late bins, to `work.noise`: D, and what it lacks of the variance by batches."""
+    squares, known, bands = work.squares, work.known, row.shape[2]
+    first = len(row) - len(difference)
+    squares[:], known[:] = 0.0, 0.0
+    for t in range(len(row)):
+        w = window[t]
+        for b in range(bands):
+            d2 = np.float64(difference[t - first, b]) ** 2 if t >= first else 0.0
+            squares[w, b] += max(np.float64(row[t, 0, b]) ** 2 - d2, 0.0)
+            known[w, b] += d2
+    for t in range(len(difference)):
+        w = window[first + t]
+        for b in range(bands):
+            d = np.float64(difference[t, b])
+            work.noise[t, b] = d
+            variance = np.float64(error[w, b]) ** 2
+            if variance > _LACKING * known[w, b] and squares[w, b] > 0.0:
+                share = max(np.float64(row[first + t, 0, b]) ** 2 - d * d, 0.0) / squares[w, b]
+                work.noise[t, b] = math.copysign(math.sqrt(d * d + share * (variance - known[w, b])), d)
+
+
+@part
+def _sum_windows(
+    row: np.ndarray, noise: np.ndarray, first: int, count: int, fitted: int, windows: PairWindows
+) -> None:
+    """Sum a pair's `row` (bins, 9, b), from bin `first` on, and `noise` (late bins, b) over its windows."""
     bands, energies = row.shape[2], row.shape[1] * row.shape[2]
-    windows.energy[:count], windows.sums[:fitted] = 0.0, 0.0
+    windows.energy[:count], windows.sums[:fitted], windows.noise[:fitted] = 0.0, 0.0, 0.0
     for w in range(count):
         for t in range(windows.ends[w], windows.ends[w + 1]):
             for b in range(bands):
@@ -109,7 +154,8 @@ def _sum_windows(
     for w in range(fitted):
         for t in range(windows.wide[w], windows.wide[w + 1]):
             for b in range(bands):
-                windows.sums[w, energies + b] += difference[t, b]
+                windows.sums[w, energies + b] += noise[t, b]
+                windows.noise[w, b] += noise[t, b] ** 2
                 for c in range(row.shape[1]):
                     windows.sums[w, c * bands + b] += row[first + t, c, b]
 
@@ -155,7 +201,7 @@ def _draw_means(plan: DenoisePlan, span: _Span, work: _Work, coarse: ScaleBins) 
 
 
 @part
-def _load(row: np.ndarray, difference: np.ndarray, first: int, span: _Span, work: _Work) -> None:
+def _load(row: np.ndarray, first: int, span: _Span, work: _Work) -> None:
     """The raw bins of a span, to `work.fine`."""
     fine, bands = work.fine, row.shape[2]
     for t in range(span.count):
@@ -163,7 +209,7 @@ def _load(row: np.ndarray, difference: np.ndarray, first: int, span: _Span, work
             for c in range(row.shape[1]):
                 fine.energy[t, c * bands + b] = row[first + span.low + t, c, b]
             fine.decay[t, b] = work.decay[span.low + t, b]
-            fine.noise[t, b] = difference[span.low + t, b]
+            fine.noise[t, b] = work.noise[span.low + t, b]
             fine.retained[t, b] = 0.0
 
 
@@ -198,6 +244,22 @@ def _smooth_stretch(plan: DenoisePlan, k: int, span: _Span, work: _Work) -> None
 
 
 @part
+def _fill(row: np.ndarray, plan: DenoisePlan, window: int, b: int, work: _Work) -> None:
+    """Give band `b` of a window of no sound, to which others have given energy, the decay f and their moments."""
+    wide, sums, bands, fitted = work.windows.wide, work.windows.sums, row.shape[2], 0
+    low, high = work.windows.ends[window], work.windows.ends[window + 1]
+    while wide[fitted + 1] <= low:
+        fitted += 1
+    total = 0.0
+    for t in range(low, high):
+        total += work.decay[t, b]
+    for t in range(low, high):
+        energy = work.windows.energy[window, b] * work.decay[t, b] / total
+        for c in range(row.shape[1]):
+            row[plan.first + t, c, b] = energy * sums[fitted, c * bands + b] / sums[fitted, b]
+
+
+@part
 def _restore(row: np.ndarray, plan: DenoisePlan, count: int, fitted: int, work: _Work) -> None:
     """Give a pair's smoothed bins the energy of its windows: by a continuous factor, and by what is left of
     it."""
@@ -211,6 +273,9 @@ def _restore(row: np.ndarray, plan: DenoisePlan, count: int, fitted: int, work: 
             total = 0.0
             for t in range(ends[w], ends[w + 1]):
                 total += curves.base[t] * curves.curve[t]
+            if total <= 0.0 < windows.energy[w, b]:
+                _fill(row, plan, w, b, work)
+                continue
             scale = windows.energy[w, b] / total if total > 0.0 else 0.0
             for t in range(ends[w], ends[w + 1]):
                 for c in range(row.shape[1]):
@@ -253,22 +318,30 @@ def _join_windows(row: np.ndarray, window: np.ndarray, energy: np.ndarray, moved
 
 @part
 def _smooth_pair(
-    row: np.ndarray, difference: np.ndarray, split: int, plan: DenoisePlan, work: _Work
+    row: np.ndarray,
+    difference: np.ndarray,
+    error: np.ndarray,
+    window: np.ndarray,
+    split: int,
+    plan: DenoisePlan,
+    work: _Work,
 ) -> None:
-    """Smooth a pair's `row` (bins, channels, b), of which the first channel tells how."""
+    """Smooth a pair's `row` (bins, channels, b), of which the first channel tells how; noise as `Noise` has it."""
     onset, bins = 0, len(difference)
     while onset < bins and _is_silent(row, plan.first + onset):
         onset += 1  # nothing may come before the first sound
     if onset == bins:
         return
     count, fitted = cut_windows(plan, onset, split - plan.first, work.windows)
-    _sum_windows(row, difference, plan.first, count, fitted, work.windows)
+    _find_noise(row, difference, error, window, work)
+    _sum_windows(row, work.noise, plan.first, count, fitted, work.windows)
+    pool_windows(work.windows, plan.edges, split - plan.first, count, fitted, work.groups, work.curves)
     _fit_decay(plan, fitted, work)
     for k in range(len(plan.levels)):
         if onset < plan.stretches[k + 1]:
             low = max(plan.stretches[k], onset)
             span = _Span(low, plan.stretches[k + 1] - low, fitted)
-            _load(row, difference, plan.first, span, work)
+            _load(row, plan.first, span, work)
             _smooth_stretch(plan, k, span, work)
     _restore(row, plan, count, fitted, work)
 
@@ -278,48 +351,43 @@ def _smooth(
     first: int,
     last: int,
     energy: np.ndarray,
-    difference: np.ndarray,
+    noise: Noise,
     splits: np.ndarray,
     plan: DenoisePlan,
-    moved: _Moved,
+    moved: np.ndarray,
     work: _Work,
 ) -> None:
     """Smooth the pairs `first` to `last`, counted row by row; arrays as `smooth_late`'s."""
-    columns = energy.shape[1]
+    columns, window = energy.shape[1], noise.window
     for n in range(first, last):
         i, j = n // columns, n % columns
+        difference, error, split = noise.difference[i, j], noise.error[i, j], splits[i, j]
         if len(work.row) == 0:
-            _smooth_pair(energy[i, j], difference[i, j], splits[i, j], plan, work)
+            _smooth_pair(energy[i, j], difference, error, window, split, plan, work)
         else:
-            _split_windows(energy[i, j], moved.window, work.row)
-            _smooth_pair(work.row, difference[i, j], splits[i, j], plan, work)
-            _join_windows(work.row, moved.window, energy[i, j], moved.energy[i, j])
+            _split_windows(energy[i, j], window, work.row)
+            _smooth_pair(work.row, difference, error, window, split, plan, work)
+            _join_windows(work.row, window, energy[i, j], moved[i, j])
 
 
 def smooth_late(
-    energy: np.ndarray,
-    difference: np.ndarray,
-    splits: np.ndarray,
-    plan: DenoisePlan,
-    window: np.ndarray | None = None,
+    energy: np.ndarray, noise: Noise, splits: np.ndarray, plan: DenoisePlan, count_moved: bool = False
 ) -> np.ndarray | None:
     """Smooth the late bins of echograms in place.
 
-    `energy` (S, L, bins, 9, b), J/m²; `difference` (S, L, late bins, b): half of what estimates of it by subpaths
-    of either end differ by, of any sign; `splits` (S, L): number of a bin before and from which on sums are kept,
-    as they are between `plan.windows`. Where the difference is zero nothing changes beyond rounding.
+    `energy` (S, L, bins, 9, b), J/m²; `splits` (S, L): number of a bin before and from which on sums are kept, as
+    they are between `plan.windows` that are known. Where there is no noise nothing changes beyond rounding.
 
-    With `window` (bins,), the number among W of each bin's, returns (S, L, W, W, b): energy in a window afterwards
-    that was in another one before, J/m².
+    With `count_moved` returns (S, L, W, W, b): energy in a window of time afterwards that was in another one
+    before, J/m².
     """
-    late, splits = np.ascontiguousarray(difference), np.ascontiguousarray(splits)
+    noise = Noise(*(np.ascontiguousarray(x) for x in noise))
     sources, listeners, bins, channels, bands = energy.shape
-    of_bin = np.empty(0, np.int64) if window is None else window
-    windows = int(of_bin.max(initial=-1)) + 1
-    moved = _Moved(of_bin, np.empty((sources, listeners, windows, windows, bands), np.float32))
-    total = bins if windows else 0
+    of_time = noise.error.shape[2]
+    windows, total = (of_time, bins) if count_moved else (0, 0)
+    moved = np.empty((sources, listeners, windows, windows, bands), np.float32)
     over_rows(
-        _smooth, sources * listeners, energy, late, splits, plan, moved,
-        scratch=lambda: _make_work(plan, total, channels + windows, bands),
+        _smooth, sources * listeners, energy, noise, np.ascontiguousarray(splits), plan, moved,
+        scratch=lambda: _make_work(plan, total, channels + windows, bands, of_time),
     )  # fmt: skip
-    return None if window is None else moved.energy
+    return moved if count_moved else None

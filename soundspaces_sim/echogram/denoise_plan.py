@@ -62,6 +62,7 @@ class PairWindows(NamedTuple):
     wide: np.ndarray  # (M + 1,) of those among them to which curves are fitted
     energy: np.ndarray  # (M, b) J/m² between `ends` before a pair is smoothed
     sums: np.ndarray  # (M, 10 b) between `wide`: of all channels, and of D
+    noise: np.ndarray  # (M, b) their variance
 
 
 @part

@@ -94,9 +94,9 @@ def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_w
             np.nan,
         ).astype(np.float32),
     )
-    moments = moments_of(tile)
+    moments, of_windows = moments_of(tile), _error_of_windows(batches)
     if b is None or not both_ways:
-        return Traced(forward, None, tile.difference, moments, tile.same)
+        return Traced(forward, None, tile.difference, of_windows, moments, tile.same)
     backward = _collect(
         model,
         points_b,
@@ -108,7 +108,8 @@ def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_w
         early.reversed(tile.distance).sorted(),
         error.transpose(1, 0, 2, 3),
     )
-    return Traced(forward, with_errors_of(forward, backward), tile.difference, moments, False)
+    backward = with_errors_of(forward, backward)
+    return Traced(forward, backward, tile.difference, of_windows, moments, False)
 
 
 def run_techniques(
@@ -272,6 +273,18 @@ def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
     """(rows, columns, bins, b): of the bins that `difference` has."""
     bins = tile.difference.shape[2]
     return table[:, :, table.shape[2] - bins :, 0]
+
+
+def _error_of_windows(batches: np.ndarray) -> np.ndarray:
+    """(A, B, windows, b) standard errors of energies in windows of time, by batches (A, B, K, windows, b)."""
+    out = np.empty((*batches.shape[:2], *batches.shape[3:]), np.float32)
+
+    def call(first: int, last: int) -> None:
+        for i in range(first, last):
+            out[i] = np.sqrt(BATCHES) * batches[i].std(axis=1, ddof=1)
+
+    over_rows(call, len(out), chunk=1)
+    return out
 
 
 def _relative_error(model: Model, tile: Tile, early: PathTable, batches: np.ndarray) -> np.ndarray:

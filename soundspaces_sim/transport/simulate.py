@@ -269,6 +269,7 @@ def _simulate_tile(
     if model.config.target_error is None:
         return smoothed(model, traced)
     forward, backward, difference = traced.forward, traced.backward, traced.difference
+    of_windows = traced.error
     sizes = round_sizes(model.asked or model.config)
     variance = _variance(forward) * sizes[0] ** 2
     of_measures = np.square(_measure_error(forward)) * sizes[0] ** 2
@@ -294,6 +295,8 @@ def _simulate_tile(
         share = size / done[s, l]
         _average(forward.energy, s, l, more.forward.energy[i, j], share)
         _average(difference, s, l, more.difference[i, j], share)
+        part = share[:, None, None]
+        of_windows[s, l] = np.hypot((1.0 - part) * of_windows[s, l], part * more.error[i, j])
         variance[s, l] += _variance(more.forward)[i, j] * size**2
         of_measures[s, l] += np.square(_measure_error(more.forward)[i, j]) * size**2
         if backward is not None and more.backward is not None:

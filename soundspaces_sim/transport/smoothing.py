@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soundspaces_sim.core.profile import stage
-from soundspaces_sim.echogram.denoise import smooth_late
+from soundspaces_sim.echogram.denoise import Noise, smooth_late
 from soundspaces_sim.echogram.denoise_plan import make_denoise_plan
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.measure_errors import measure_values, widened
@@ -19,12 +19,14 @@ from soundspaces_sim.transport.reflection_counts.smoothed import smoothed_moment
 @dataclass(frozen=True)
 class Traced:
     """The raw result of a tile: echograms a -> b and, if wanted, b -> a; and `difference` (A, B, late bins, b),
-    half of what late energies by the subpaths of a and of b differ by, of any sign; `moments` of counts of
-    reflections, if they are wanted; `same`: whether a are the points b."""
+    half of what late energies by the subpaths of a and of b differ by, of any sign; `error` (A, B, windows, b):
+    standard errors of energies in windows of time, by batches; `moments` of counts of reflections, if they are
+    wanted; `same`: whether a are the points b."""
 
     forward: Echograms
     backward: Echograms | None
     difference: np.ndarray
+    error: np.ndarray
     moments: CountMoments | None
     same: bool
 
@@ -41,11 +43,12 @@ def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]
         plan = make_denoise_plan(model.time_edges, config.connections.window, passage)
         early = forward.direct_length / config.c + EARLY_S
         splits = np.searchsorted(model.time_edges, early)
-        window = None if moments is None else model.world.window_of_bin
-        moved = smooth_late(forward.energy, traced.difference, splits, plan, window)
+        noise = Noise(traced.difference, traced.error, model.world.window_of_bin)
+        moved = smooth_late(forward.energy, noise, splits, plan, moments is not None)
         forward = widened(forward, values, traced.same)
         if backward is not None:
-            smooth_late(backward.energy, traced.difference.transpose(1, 0, 2, 3), splits.T, plan)
+            back = Noise(*(x.transpose(1, 0, 2, 3) for x in noise[:2]), noise.window)
+            smooth_late(backward.energy, back, splits.T, plan)
         if moments is not None and moved is not None:
             moments = smoothed_moments(model, moments, forward.energy[:, :, :, 0], moved, plan)
     if moments is not None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from soundspaces_sim.core.config import DEFAULT_TIME_GRID
-from soundspaces_sim.echogram import decay_curves, denoise, wavelets
-from soundspaces_sim.echogram.denoise import smooth_late
+from soundspaces_sim.echogram import decay_curves, denoise, pool_windows, wavelets
+from soundspaces_sim.echogram.denoise import Noise, smooth_late
 from soundspaces_sim.echogram.denoise_plan import DenoisePlan, make_denoise_plan
 
 BANDS = 2
@@ -112,15 +112,58 @@ def _means(
     return out
 
 
+def _groups(
+    energy: np.ndarray, noise: np.ndarray, first: int, wide: list[int], edges: np.ndarray
+) -> tuple[list[list[int]], np.ndarray]:
+    """Windows that share their energy, and the decay of groups: the first group at whose centre the curve is above
+    that at the centre of the one before, while it is not known, is joined with it."""
+    groups, width = [[w] for w in range(len(energy))], np.diff(edges)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    while True:
+        between = [wide[group[0]] for group in groups] + [wide[-1]]
+        totals = np.array([energy[group].sum() for group in groups])
+        curve = _fit(width, between, totals, edges, True)
+        centres = [0.5 * (edges[a] + edges[b]) for a, b in itertools.pairwise(between)]
+        level = np.interp(centres, middle, np.log(curve))
+        sounding = np.flatnonzero(totals > 0.0).tolist()
+        for before, own in itertools.pairwise(sounding):
+            unknown = noise[groups[own]].sum() > (pool_windows._KNOWN * totals[own]) ** 2
+            if level[own] > level[before] and unknown and groups[before][0] >= first:
+                groups[before : own + 1] = [list(range(groups[before][0], groups[own][-1] + 1))]
+                break
+        else:
+            return groups, width * curve
+
+
+def _spread(
+    row: np.ndarray, noise: np.ndarray, ends: list[int], wide: list[int], split: int, edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energies between `ends`, and sums of energies and of D between `wide`, after groups have shared theirs."""
+    kept = np.add.reduceat(row[:, 0], ends[:-1])
+    sums, of_noise = np.add.reduceat(row, wide[:-1], axis=0), np.add.reduceat(noise, wide[:-1])
+    first = int(np.searchsorted(wide[:-1], split))
+    groups, f = _groups(sums[:, 0], np.add.reduceat(noise**2, wide[:-1]), first, wide, edges)
+    for group in groups:
+        low, high = wide[group[0]], wide[group[-1] + 1]
+        if len(group) > 1:
+            shares = np.array([f[wide[w] : wide[w + 1]].sum() for w in group]) / f[low:high].sum()
+            sums[group] = shares[:, None] * sums[group].sum(axis=0)
+            of_noise[group] = shares * of_noise[group].sum()
+            inside = [v for v in range(len(kept)) if low <= ends[v] < high]
+            parts = np.array([f[ends[v] : ends[v + 1]].sum() for v in inside])
+            kept[inside] = parts / f[low:high].sum() * kept[inside].sum()
+    return kept, sums, of_noise
+
+
 def _smoothed_band(row: np.ndarray, noise: np.ndarray, split: int, plan: DenoisePlan) -> np.ndarray:
     """(late bins, 9) of one band, from the late bins `row` (T, 9), energies alike in all bands, and D `noise` (T,)."""
     edges, low = plan.edges, int(np.argmax(row[:, 0] > 0.0))
     ends, wide = _windows(plan, low, split)
-    sums = np.add.reduceat(row, wide[:-1], axis=0)
+    kept_energy, sums, of_windows = _spread(row, noise, ends, wide, split, edges)
     width = np.diff(edges)
     f = width * _fit(width, wide, sums[:, 0], edges, True)
     broad = _means(sums, sums[:, 0], f, wide, edges)
-    broad_noise = _means(np.add.reduceat(noise, wide[:-1]), sums[:, 0], f, wide, edges)
+    broad_noise = _means(of_windows, sums[:, 0], f, wide, edges)
     out = np.zeros_like(row)
     for k, levels in enumerate(plan.levels.tolist()):
         span = slice(max(int(plan.stretches[k]), low), int(plan.stretches[k + 1]))
@@ -144,29 +187,45 @@ def _smoothed_band(row: np.ndarray, noise: np.ndarray, split: int, plan: Denoise
             scale, kept = coarser, stays
         out[span] += ((1.0 - kept) * f[span] / scale[2])[:, None] * scale[0]
     factor = _fit(out[:, 0], wide, sums[:, 0], edges, False)
-    for a, b in itertools.pairwise(ends):
+    for (a, b), stays in zip(itertools.pairwise(ends), kept_energy, strict=True):
         energy = (factor * out[:, 0])[a:b].sum()
-        out[a:b] *= factor[a:b, None] * (row[a:b, 0].sum() / energy if energy > 0.0 else 0.0)
+        out[a:b] *= factor[a:b, None] * (stays / energy if energy > 0.0 else 0.0)
     return out
 
 
+@pytest.mark.parametrize("lucky", [(), (60,), (40, 61), (58, 79)])
 @pytest.mark.parametrize(("onset", "split"), [(0, 20), (3, 33), (12, 0)])
-def test_smoothed_bins_are_those_of_the_formulas(onset: int, split: int) -> None:
-    """A noisy decay with an echo, in both bands, which have other noise; nothing arrives before the onset."""
+def test_smoothed_bins_are_those_of_the_formulas(onset: int, split: int, lucky: tuple[int, ...]) -> None:
+    """A noisy decay with an echo, in both bands, which have other noise; nothing arrives before the onset. Some bins
+    hold what one lucky subpath of one end has brought."""
     edges, rng = _edges(), np.random.default_rng(onset)
     plan = make_denoise_plan(edges, 0.05, 2.0 / 343.0)
     decay = np.diff(-np.exp(-23.0 * edges))[:, None] * np.ones(BANDS)
     decay[plan.first + 30] *= 5.0
     halves = 0.5 * decay * rng.gamma(4.0, 0.25, (2, *decay.shape))
+    for k in lucky:
+        halves[0, plan.first + k] *= 60.0
     table = np.zeros((1, 1, len(decay), 9, BANDS), np.float32)
     table[0, 0, :, 0] = halves.sum(axis=0)
     table[0, 0, :, 1:] = table[0, 0, :, :1] * rng.uniform(-1.0, 1.0, (len(decay), 8, BANDS))
     table[0, 0, : plan.first + onset] = 0.0
     difference = (halves[0] - halves[1])[None, None, plan.first :].astype(np.float32)
-    raw = table[0, 0, plan.first :].astype(float)
-    smooth_late(table, difference, np.full((1, 1), plan.first + split), plan)
+    raw = table[0, 0].astype(float)
+    window = np.minimum(np.arange(len(raw)) // 40, 2)
+    energy = np.add.reduceat(raw[:, 0], [0, 40, 80])
+    error = np.array([[0.1], [0.6], [0.05]]) * energy
+    noise = Noise(difference, error[None, None].astype(np.float32), window)
+    smooth_late(table, noise, np.full((1, 1), plan.first + split), plan)
+    d = np.zeros((len(raw), BANDS))
+    d[plan.first :] = difference[0, 0]
+    rest = np.maximum(raw[:, 0] ** 2 - d**2, 0.0)
+    left, known = (np.add.reduceat(x, [0, 40, 80]) for x in (rest, d**2))
+    lacks = np.where(error**2 > denoise._LACKING * known, error**2 - known, 0.0)
+    d = np.copysign(np.sqrt(d**2 + rest * (lacks / np.maximum(left, 1e-300))[window]), d)
+    d = d[plan.first :]
+    raw = raw[plan.first :]
     for band in range(BANDS):
-        expected = _smoothed_band(raw[:, :, band], difference[0, 0, :, band].astype(float), split, plan)
+        expected = _smoothed_band(raw[:, :, band], d[:, band], split, plan)
         found = table[0, 0, plan.first :, :, band]
         np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6 * expected.max())
         assert not np.allclose(expected, raw[:, :, band], rtol=0.05)

@@ -40,7 +40,7 @@ def test_the_air_of_a_lossless_room_absorbs_all_that_is_emitted(room: str) -> No
     def direct(places: np.ndarray) -> np.ndarray:
         r = np.linalg.norm(places - source, axis=1)
         passed = np.where((room == "box") | (places[:, 0] < 4.0), 1.0, 0.5)
-        return passed * np.exp(-np.outer(r, m[::50])).mean(axis=1) / (4.0 * np.pi * r**2)
+        return np.asarray(passed * np.exp(-np.outer(r, m[::50])).mean(axis=1) / (4.0 * np.pi * r**2))
 
     everywhere = direct(rng.uniform(0.0, size, (400_000, 3)))
     expected = np.mean(1.0 / m) / np.prod(size)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.echogram.denoise import smooth_late
+from soundspaces_sim.echogram.denoise import Noise, smooth_late
 from soundspaces_sim.echogram.denoise_plan import make_denoise_plan
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.reflection_counts.of_tile import CountMoments, mean_times
@@ -53,7 +53,9 @@ def _smoothed(seed: int) -> _Case:
     late *= energy[:, :, plan.first :, 0]
     raw = np.add.reduceat(energy[:, :, :, 0], starts, axis=2, dtype=float)
     splits = np.zeros(shape[:2], np.int64)
-    moved = smooth_late(energy, late, splits, plan, model.world.window_of_bin)
+    window = model.world.window_of_bin
+    unknown = np.zeros((*shape[:2], window.max() + 1, BANDS))
+    moved = smooth_late(energy, Noise(late, unknown, window), splits, plan, count_moved=True)
     assert moved is not None
     same = before._replace(rows=before.rows.copy())
     after = smoothed_moments(model, same, energy[:, :, :, 0], moved, plan)
