@@ -32,7 +32,7 @@ from soundspaces_sim.scene.labels import DEFAULT, WITHOUT
 from soundspaces_sim.scene.rays.diffuse_walk import diffuse_walks
 from soundspaces_sim.scene.scene import Scene, check_scene
 from soundspaces_sim.scene.storeys import Storeys, above_no_floor, find_storeys
-from soundspaces_sim.scene.triangles import pieces_of, welded
+from soundspaces_sim.scene.triangles import pieces_of, welded_faces
 from soundspaces_sim.transport.arrivals.find_wedges import find_and_tell
 from soundspaces_sim.transport.element_depths import ElementAreas, element_areas
 from soundspaces_sim.transport.simulate import simulate
@@ -390,7 +390,7 @@ def _volume(scene: Scene) -> float:
 
 def _components(scene: Scene) -> int:
     """Pieces that share no corner."""
-    points, faces = welded(scene.corners, 5)
+    points, faces = welded_faces(scene.vertices, scene.faces, 5)
     return int(pieces_of(faces, len(points)).max()) + 1
 
 

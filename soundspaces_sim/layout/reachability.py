@@ -24,7 +24,7 @@ from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere, sample_sphere
 from soundspaces_sim.scene.rays.geometry import Geometry, before, intersect, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import pieces_of, welded
+from soundspaces_sim.scene.triangles import pieces_of, welded_faces
 from soundspaces_sim.scene.walkable import find_floors
 
 _CELL, _STEP = 0.1, 0.2  # m
@@ -139,7 +139,7 @@ def _walk_to_places(
 
 def _in_solids(scene: Scene, places: np.ndarray, height: float) -> np.ndarray:
     """(W,) whether a place to stand lies in a solid, by the four signs of the module's description."""
-    points, faces = welded(scene.corners, 5)
+    points, faces = welded_faces(scene.vertices, scene.faces, 5)
     piece = pieces_of(faces, len(points))
     order = np.argsort(piece, kind="stable")
     start = np.searchsorted(piece[order], np.arange(piece.max() + 1))

@@ -18,6 +18,7 @@ from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.rays.diffuse_walk import blocked
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.storeys import floor_heights
+from soundspaces_sim.scene.triangles import boxes
 from soundspaces_sim.scene.walkable import Columns, find_floors
 
 _CELL = 0.1  # m
@@ -36,7 +37,7 @@ def add_ceiling(mesh: LabelledMesh, scene: Scene, always: bool = False) -> Label
 
     The faces of the ceiling come after the mesh's own. `always`: also over places that do not look like indoors.
     """
-    reason = too_large(scene.corners, _CELL)
+    reason = too_large(*boxes(scene.corners), _CELL)
     if reason and always:
         raise SceneError(f"{mesh.name}: no ceiling can be added: {reason}")
     if reason:
@@ -112,33 +113,37 @@ def _cover(
     )
     # To the middle of the walls.
     area = scipy.ndimage.binary_dilation(open_ | (near & low), iterations=2)
-    vertices, faces = [mesh.vertices], [mesh.faces]
-    count = len(mesh.vertices)
-    for i0, i1, j0, j1 in _rectangles(area):
+    vertices, faces = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
+    for k, (i0, i1, j0, j1) in enumerate(_rectangles(area)):
         x0, x1 = columns.cells.x0 + i0 * _CELL, columns.cells.x0 + i1 * _CELL
         y0, y1 = columns.cells.y0 + j0 * _CELL, columns.cells.y0 + j1 * _CELL
         vertices.append(
             np.array([[x0, y0, height], [x1, y0, height], [x1, y1, height], [x0, y1, height]])
         )
-        faces.append(np.array([[0, 2, 1], [0, 3, 2]]) + count)
-        count += 4
-    added = 2 * (len(faces) - 1)
-    labels, label = mesh.labels, -1
-    if labels:  # a mesh without labels gets none here either
-        labels = labels if "ceiling" in labels else (*labels, "ceiling")
-        label = labels.index("ceiling")
+        faces.append(np.array([[0, 2, 1], [0, 3, 2]]) + 4 * k)
     size = area.sum() * _CELL**2
     note = (
         f"nothing lies above {where}: a synthetic ceiling of {size:.1f} m2 was added at z = {height:.2f} m "
         "(ceiling=False leaves it open)"
     )
+    return with_cover(mesh, np.concatenate(vertices), np.concatenate(faces), (note,))
+
+
+def with_cover(
+    mesh: LabelledMesh, vertices: np.ndarray, faces: np.ndarray, notes: tuple[str, ...]
+) -> LabelledMesh:
+    """The mesh with the faces (F, 3) of a ceiling between `vertices` (V, 3) after its own, and its notes."""
+    labels, label = mesh.labels, -1
+    if labels and len(faces) > 0:  # a mesh without labels gets none here either
+        labels = labels if "ceiling" in labels else (*labels, "ceiling")
+        label = labels.index("ceiling")
     return LabelledMesh(
-        np.concatenate(vertices),
-        np.concatenate(faces),
+        np.concatenate([mesh.vertices, vertices]),
+        np.concatenate([mesh.faces, faces + len(mesh.vertices)]),
         labels,
-        np.concatenate([mesh.face_label, np.full(added, label)]),
+        np.concatenate([mesh.face_label, np.full(len(faces), label)]),
         mesh.name,
-        (*mesh.notes, note),
+        (*mesh.notes, *notes),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.heightfield import too_large
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.triangles import highest, lowest, pieces_of, used_rows, welded
+from soundspaces_sim.scene.triangles import boxes, corners_of, pieces_of, used_rows, welded_faces
 from soundspaces_sim.scene.walkable import find_floors
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -48,12 +48,11 @@ def to_scene_frame(mesh: LabelledMesh, up: str | None = None, unit: str | None =
     core = faces[~stray] if not stray.all() else faces
     axis, clear = up or mesh.up, None
     if axis is None:
-        axis, clear, note = _guess_up(vertices[core], UNITS[unit] if unit is not None else mesh.metre)
+        axis, clear, note = _guess_up(vertices, core, UNITS[unit] if unit is not None else mesh.metre)
         notes.append(note)
     elif up is None and axis != "z":
         notes.append(f"{axis.upper()} is taken as up: so says the file (override with up=)")
-    rows, signs = _TURNS[axis]
-    vertices = vertices[:, rows] * np.array(signs, float)
+    vertices = _turned(vertices, axis)
     metre = UNITS[unit] if unit is not None else mesh.metre
     if metre is None:
         name, note = _guess_unit(vertices, faces, core, clear)
@@ -123,16 +122,18 @@ def _stray_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.asarray(far[faces].any(axis=1))
 
 
-def _turned(corners: np.ndarray, axis: str) -> np.ndarray:
-    """The corners with an axis of theirs up."""
+def _turned(vertices: np.ndarray, axis: str) -> np.ndarray:
+    """The vertices with an axis of theirs up."""
     rows, signs = _TURNS[axis]
-    return corners[..., rows] * np.array(signs, float)
+    return vertices[:, rows] * np.array(signs, float)
 
 
-def _guess_up(corners: np.ndarray, metre: float | None) -> tuple[str, np.ndarray | None, str]:
+def _guess_up(
+    vertices: np.ndarray, faces: np.ndarray, metre: float | None
+) -> tuple[str, np.ndarray | None, str]:
     """Which of Y and Z is up; the free heights with that axis up, if they were measured; and a note. An axis along
     which nobody could stand upright is not, if one could along the other. `metre`: length of the unit, if known."""
-    extent = highest(corners).max(axis=0) - lowest(corners).min(axis=0)
+    extent = np.ptp(vertices[used_rows(faces, len(vertices))], axis=0)
     heights = {n: float(extent[k]) for n, k in (("y", 1), ("z", 2))}
     metres = {n: h * (metre or UNITS[_unit_of(h)]) for n, h in heights.items()}
     upright = [n for n in UPS if _STANDING <= metres[n] <= _HIGHEST]
@@ -140,10 +141,10 @@ def _guess_up(corners: np.ndarray, metre: float | None) -> tuple[str, np.ndarray
         low = "z" if upright == ["y"] else "y"
         reason = f"one can stand in {metres[upright[0]]:.2f} m, and not in the {metres[low]:.2f} m along"
         return upright[0], None, f"{_up_note(upright[0])}: {reason} {low.upper()} (override with up=)"
-    points, faces = welded(corners, 5)
-    piece, score, clear = pieces_of(faces, len(points)), {}, {}
+    points, welded = welded_faces(vertices, faces, 5)
+    piece, score, clear = pieces_of(welded, len(points)), {}, {}
     for name in UPS:
-        own = _turned(corners, name)
+        own = corners_of(_turned(vertices, name), faces)
         clear[name], cell = _clear_heights(own)
         length = metre or UNITS[_unit_of(heights[name])]
         area = float(_like_rooms(clear[name] * length).sum()) * (cell * length) ** 2
@@ -166,9 +167,10 @@ def _up_note(axis: str) -> str:
 def _clear_heights(corners: np.ndarray) -> tuple[np.ndarray, float]:
     """Free heights above cells of floor, inf where no ceiling is, and the size of a cell, in the file's unit. Roofs
     are no floor: what has no ceiling counts where nothing is below."""
-    extent = highest(corners).max(axis=0) - lowest(corners).min(axis=0)
+    low, high = boxes(corners)
+    extent = high.max(axis=0) - low.min(axis=0)
     cell = float(np.sqrt(extent[0] * extent[1] / _COLUMNS))
-    if cell <= 0.0 or too_large(corners, cell):
+    if cell <= 0.0 or too_large(low, high, cell):
         return np.empty(0), cell
     columns = find_floors(corners, cell, 0.1 * float(extent[2]), cell, 0.03 * float(extent[2]))
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
@@ -191,8 +193,9 @@ def _resting(corners: np.ndarray, piece: np.ndarray) -> float:
         return 0.0
     z = corners[..., 2]
     foot, top = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(foot, piece, lowest(corners)[:, 2])
-    np.maximum.at(top, piece, highest(corners)[:, 2])
+    low, high = boxes(corners)
+    np.minimum.at(foot, piece, low[:, 2])
+    np.maximum.at(top, piece, high[:, 2])
     height = float(np.ptp(z))
     feet = foot[top - foot < 0.8 * height]
     slab = np.rint(feet / max(0.02 * height, 1e-300)).astype(np.int64)
@@ -210,7 +213,7 @@ def _guess_unit(
         height = float(np.ptp(vertices[used_rows(core, len(vertices)), 2]))
         unit = _unit_of(height)
     if clear is None:
-        clear, _ = _clear_heights(vertices[core])
+        clear, _ = _clear_heights(corners_of(vertices, core))
     clear = clear[np.isfinite(clear)]
     room = float(np.median(clear)) if len(clear) else height
     good = [n for n, metre in UNITS.items() if _ROOMS[0] <= room * metre <= _ROOMS[1]]

@@ -14,7 +14,8 @@ import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.scene.triangles import highest, lowest
+from soundspaces_sim.core.numerics.rows import in_order
+from soundspaces_sim.scene.triangles import boxes
 
 MOST_COLUMNS = 40_000_000  # 190 x 190 m in cells of 3 cm
 MOST_CLIPS = 500_000_000  # about a minute
@@ -62,11 +63,11 @@ def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
 
     Raises `SceneError` beyond `MOST_COLUMNS` columns, or `MOST_CLIPS` of them under all triangles together.
     """
-    boxes = lowest(corners), highest(corners)
-    reason = _too_large(*boxes, cell)
+    low, high = boxes(corners)
+    reason = too_large(low, high, cell)
     if reason:
         raise SceneError(reason)
-    cells = _raster(*boxes, cell)
+    cells = _raster(low, high, cell)
     parts = [
         (found.column.astype(np.int32), found.low.astype(np.float32), found.high.astype(np.float32))
         for found in _pieces(corners, cells)
@@ -75,28 +76,40 @@ def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
     # By column, then by height: one number for both, with floats as integers of their order, is sorted fastest.
     bits = (bottom + np.float32(0.0)).view(np.int32)
     height = (bits ^ (bits >> 31 & 0x7FFFFFFF)).astype(np.int64) + 2**31
-    order = np.argsort(column.astype(np.int64) << 32 | height, kind="stable")
+    order = in_order(column.astype(np.int64) << 32 | height)[1]
     start = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=cells.nx * cells.ny))])
     return cells, Spans(start, bottom[order], top[order])
 
 
+@kernel
+def _measure(lows: np.ndarray, highs: np.ndarray, cell: float, bounds: np.ndarray) -> float:
+    """Least and greatest coordinates of triangles' boxes (F, 3) into `bounds` (2, 3), and cells under all boxes."""
+    clips = 0.0
+    for axis in range(3):
+        bounds[0, axis], bounds[1, axis] = np.inf, -np.inf
+    for i in range(len(lows)):
+        for axis in range(3):
+            bounds[0, axis] = min(bounds[0, axis], lows[i, axis])
+            bounds[1, axis] = max(bounds[1, axis], highs[i, axis])
+        x, y = highs[i, 0] - lows[i, 0], highs[i, 1] - lows[i, 1]
+        clips += (x / cell + 2.0) * (y / cell + 2.0)
+    return clips
+
+
 def _raster(lows: np.ndarray, highs: np.ndarray, cell: float) -> Cells:
     """Cells of `cell` m under triangles' boxes (F, 3), with an empty one on every side."""
-    low, high = lows.min(axis=0), highs.max(axis=0)
-    nx, ny = (math.ceil((high[k] - low[k]) / cell) + 2 for k in (0, 1))
-    return Cells(float(low[0]) - cell, float(low[1]) - cell, cell, nx, ny)
+    bounds = np.empty((2, 3))
+    _measure(lows, highs, cell, bounds)
+    nx, ny = (math.ceil((bounds[1, k] - bounds[0, k]) / cell) + 2 for k in (0, 1))
+    return Cells(float(bounds[0, 0]) - cell, float(bounds[0, 1]) - cell, cell, nx, ny)
 
 
-def too_large(corners: np.ndarray, cell: float) -> str:
-    """Why `vertical_spans` refuses triangles (F, 3, 3) m; empty if it does not."""
-    return _too_large(lowest(corners), highest(corners), cell)
-
-
-def _too_large(low: np.ndarray, high: np.ndarray, cell: float) -> str:
-    size = high.max(axis=0) - low.min(axis=0)
+def too_large(lows: np.ndarray, highs: np.ndarray, cell: float) -> str:
+    """Why `vertical_spans` refuses triangles with these boxes (F, 3), m; empty if it does not."""
+    bounds = np.empty((2, 3))
+    clips = _measure(lows, highs, cell, bounds)
+    size = bounds[1] - bounds[0]
     columns = float((size[0] / cell + 2.0) * (size[1] / cell + 2.0))
-    across = (high - low)[:, :2] / cell + 2.0
-    clips = float((across[:, 0] * across[:, 1]).sum())
     if columns <= MOST_COLUMNS and clips <= MOST_CLIPS:
         return ""
     return (

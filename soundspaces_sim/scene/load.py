@@ -9,22 +9,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.scene.arrays import mesh_arrays
 from soundspaces_sim.scene.beside import with_frame_beside
-from soundspaces_sim.scene.ceiling import add_ceiling
 from soundspaces_sim.scene.formats import FORMATS, accepted, find_format
 from soundspaces_sim.scene.frame import DOUBT, to_scene_frame
 from soundspaces_sim.scene.holes import close_holes
+from soundspaces_sim.scene.kept import kept_ceiling, kept_mesh
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.labels import LabelMap, assign_materials, load_labels
 from soundspaces_sim.scene.materials import MaterialTable, stack_materials
 from soundspaces_sim.scene.porous_layers import with_free_sheets
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import areas, pieces_of, welded
+from soundspaces_sim.scene.triangles import areas, corners_of, pieces_of, welded_faces
 
 _LEAST_FACES = 64  # of a piece that is worth it
 _AREA_CHANGE = 0.03  # share of a piece's area,
@@ -42,11 +41,12 @@ def decimate_mesh(mesh: LabelledMesh, share: float) -> LabelledMesh:
         raise SceneError(f"decimate: expected a share of the faces above 0 and below 1, got {share}")
     try:
         import fast_simplification
+        from scipy.spatial import cKDTree  # here, because it takes long, and few scenes need it
     except ImportError:
         raise SceneError(
             f"decimation needs the fast-simplification package: {install_hint('decimate')}"
         ) from None
-    used, faces = welded(mesh.vertices[mesh.faces], 6)
+    used, faces = welded_faces(mesh.vertices, mesh.faces, 6)
     vertices, new_faces, new_labels = [], [], []
     count = 0
     for rows in _rows_of_pieces(pieces_of(faces, len(used))):
@@ -67,13 +67,12 @@ def decimate_mesh(mesh: LabelledMesh, share: float) -> LabelledMesh:
         count += len(points)
     result = np.concatenate(new_faces)
     note = f"decimated from {len(mesh.faces):,} to {len(result):,} faces (decimate={share:g})"
-    return LabelledMesh(
-        np.concatenate(vertices),
-        result,
-        mesh.labels,
-        np.concatenate(new_labels),
-        mesh.name,
-        (*mesh.notes, note),
+    return replace(
+        mesh,
+        vertices=np.concatenate(vertices),
+        faces=result,
+        face_label=np.concatenate(new_labels),
+        notes=(*mesh.notes, note),
     )
 
 
@@ -136,10 +135,8 @@ def load_scene(
                 "where it is made"
             )
         return source
-    mesh = to_scene_frame(_read(source, up is not None and unit is not None), up, unit)
-    if decimate is not None:
-        mesh = decimate_mesh(mesh, decimate)
-    mesh = close_holes(mesh)
+    given = _read(source, up is not None and unit is not None)
+    mesh = kept_mesh(given, (up, unit, decimate), lambda: _mended(given, up, unit, decimate))
     own = mesh.materials
     table = stack_materials(materials, own.values())
     label_map = load_labels(labels, {label: given.names[0] for label, given in own.items()})
@@ -154,6 +151,14 @@ def load_scene(
     return scene
 
 
+def _mended(
+    mesh: LabelledMesh, up: str | None, unit: str | None, decimate: float | None
+) -> LabelledMesh:
+    """The mesh in the scene's frame, without its small holes."""
+    mesh = to_scene_frame(mesh, up, unit)
+    return close_holes(mesh if decimate is None else decimate_mesh(mesh, decimate))
+
+
 def _with_materials(
     mesh: LabelledMesh,
     table: MaterialTable,
@@ -162,13 +167,14 @@ def _with_materials(
     ceiling: bool | None,
 ) -> tuple[Scene, str]:
     """The scene of a mesh, with a synthetic ceiling as `load_scene` has it, and the note already logged."""
-    area = areas(mesh.vertices[mesh.faces])
+    # Areas are told of labels, where there are any.
+    area = areas(corners_of(mesh.vertices, mesh.faces)) if mesh.labels else np.ones(len(mesh.faces))
     found = assign_materials(mesh.labels, mesh.face_label, area, table, label_map, strict)
     mesh = replace(mesh, notes=(*mesh.notes, *found.notes))
     scene = _scene(mesh, found.rows, table)
     if ceiling is False:
         return scene, found.lost
-    covered = add_ceiling(mesh, scene, always=ceiling is True)
+    covered = kept_ceiling(mesh, scene, always=ceiling is True)
     if covered.notes == mesh.notes:
         return scene, found.lost
     added = covered.face_label[len(found.rows) :]

@@ -24,7 +24,7 @@ from soundspaces_sim.scene.materials import FREE, MaterialTable, pass_absorption
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
 from soundspaces_sim.scene.rays.geometry import Geometry, before, intersect, lifted
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import pieces_of, welded
+from soundspaces_sim.scene.triangles import pieces_of, welded_faces
 
 _SAMPLES = 256  # per piece and side
 _BOUNCES = 8
@@ -108,7 +108,7 @@ def _note(scene: Scene, free: np.ndarray) -> str:
 
 def _hanging_free(scene: Scene, faces: np.ndarray) -> np.ndarray:
     """(n,) which of these faces belong to pieces open on both sides."""
-    points, rows = welded(scene.corners[faces] - scene.center, 4)
+    points, rows = welded_faces(scene.vertices - scene.center, scene.faces[faces], 4)
     piece = pieces_of(rows, len(points))
     corners = scene.corners[faces] - scene.center
     count = int(piece.max()) + 1

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.io.disk_cache import cached_on_disk
+from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.svg import BLACK, Lines, html, svg
 from soundspaces_sim.scene.arrays import faces_of_arrays, faces_of_trimesh
@@ -24,6 +26,7 @@ from soundspaces_sim.scene.rays.caster import RayScene
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.rays.overlaps import (
     Overlaps,
+    are_pairs,
     close_notes,
     covers_of,
     find_close,
@@ -33,10 +36,10 @@ from soundspaces_sim.scene.rays.overlaps import (
 from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.triangles import (
     areas,
+    boxes,
+    corners_of,
     cross_products,
-    highest,
     longest_edges,
-    lowest,
     used_rows,
 )
 
@@ -49,19 +52,39 @@ def check_scene(scene: object) -> None:
         )
 
 
+def scene_key(scene: Scene) -> tuple[object, ...]:
+    """What decides what is made of a scene, for caches."""
+    return scene.digest, scene.corners.shape, scene.materials.absorption.shape
+
+
+_LARGE = 100_000  # triangles, of which it takes seconds to find out what the disk cache may keep
 _FARTHEST, _WIDEST = 1e9, 2e4  # m, from the origin, and across
 _HASH = np.uint64(0x9E3779B97F4A7C15)  # odd, of no pattern
+
+
+def is_large(faces: np.ndarray) -> bool:
+    """Whether what is found of so many triangles is kept on disk."""
+    return len(faces) >= _LARGE
+
+
+@kernel
+def _hash(low: np.ndarray, high: np.ndarray, material: np.ndarray, key: np.ndarray) -> None:
+    """Fill `key` (F,) with numbers, alike where boxes, from `low` (F, 3) to `high`, and `material` (F,) are."""
+    for i in range(len(key)):
+        h = np.uint64(material[i])
+        for k in range(6):
+            h = (h ^ (low[i, k] if k < 3 else high[i, k - 3])) * _HASH
+            h ^= h >> np.uint64(32)
+        key[i] = h
 
 
 def _first_of_its_place(corners: np.ndarray, material: np.ndarray) -> np.ndarray:
     """(F,) False for a face whose (3, 3) corners, in any order, and material another one before it has."""
     unique = np.ones(len(corners), bool)
     # Only those in the same box can be alike, and in most meshes none are.
-    box = np.column_stack([lowest(corners), highest(corners)]) + 0.0  # -0 is 0
-    key = np.zeros(len(corners), np.uint64)
-    for column in (*box.T, material.astype(float)):
-        key = (key ^ np.ascontiguousarray(column).view(np.uint64)) * _HASH
-        key ^= key >> np.uint64(32)
+    low, high = boxes(corners)
+    key = np.empty(len(corners), np.uint64)
+    _hash(low.view(np.uint64), high.view(np.uint64), material.astype(np.int64), key)
     ordered = np.sort(key)
     some = np.flatnonzero(np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]]))
     if len(some) > 0:
@@ -124,12 +147,14 @@ class Scene:
         self._check(vertices, faces, material, label)
         if len(label) == 0:
             label = np.full(len(faces), -1)
-        corners = vertices[faces]
+        corners = corners_of(vertices, faces)
         # Embree works in float32: a face thinner than its rounding has no usable normal.
         keep = 2.0 * areas(corners) > 1e-7 * longest_edges(corners)
         keep &= _first_of_its_place(corners, material)
         if not keep.any():
             raise SceneError(f"{self.name}: the mesh has no face with an area; check the file")
+        if keep.all():
+            put(self, "corners", corners)
         put(self, "vertices", vertices)
         put(self, "faces", faces[keep].astype(np.int64))
         put(self, "face_material", material[keep].astype(np.int64))
@@ -252,7 +277,7 @@ class Scene:
     @cached_property
     def corners(self) -> np.ndarray:
         """(F, 3, 3) coordinates of each face's corners, m."""
-        return np.asarray(self.vertices[self.faces])
+        return corners_of(self.vertices, self.faces)
 
     @cached_property
     def areas(self) -> np.ndarray:
@@ -271,7 +296,8 @@ class Scene:
     @cached_property
     def bounds(self) -> np.ndarray:
         """(2, 3) lowest and highest corner of the faces, m."""
-        return np.stack([lowest(self.corners).min(axis=0), highest(self.corners).max(axis=0)])
+        used = self.vertices[used_rows(self.faces, len(self.vertices))]
+        return np.stack([used.min(axis=0), used.max(axis=0)])
 
     @cached_property
     def center(self) -> np.ndarray:
@@ -310,9 +336,15 @@ class Scene:
     @cached_property
     def overlaps(self) -> Overlaps:
         """Faces that lie on others in one plane; those count (`rays.overlaps`)."""
-        return find_overlaps(
-            self.corners - self.center, self.normals, self._offset, self.face_material, self.materials
-        )
+
+        def find() -> Overlaps:
+            corners, material = self.corners - self.center, self.face_material
+            return find_overlaps(corners, self.normals, self._offset, material, self.materials)
+
+        if not is_large(self.faces):
+            return find()
+        key = scene_key(self), self.materials.names
+        return cached_on_disk(Overlaps, key, find, lambda found: are_pairs(found, len(self.faces)))
 
     @property
     def overlap_notes(self) -> tuple[str, ...]:

@@ -15,12 +15,12 @@ import numpy as np
 import scipy
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
 from soundspaces_sim.scene.heightfield import Cells, too_large
 from soundspaces_sim.scene.rays.diffuse_walk import drop
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.triangles import boxes
 from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours
 
 _SLAB = 0.1  # m
@@ -162,7 +162,7 @@ def _points_on(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def find_ground(scene: Scene, height: float) -> Ground | None:
     """Where people walk, under `height` m of headroom; None for scenes too large for the cells."""
-    if too_large(scene.corners, CELL):
+    if too_large(*boxes(scene.corners), CELL):
         return None
     columns = find_floors(scene.corners, CELL, height, _AGENT, STEP)
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
@@ -184,6 +184,8 @@ def _joined_tiers(
     border = np.flatnonzero(columns.stand & large[component] & (ways < ways.max(initial=0)))
     if large.sum() < 3 or len(border) == 0:
         return component
+    from scipy.spatial import cKDTree  # here, because it takes long, and few scenes need it
+
     plan = np.column_stack(np.divmod(column[border], columns.cells.ny))
     pairs = border[cKDTree(plan).query_pairs(_APART / CELL, output_type="ndarray")]
     rise = columns.floor[pairs[:, 1]] - columns.floor[pairs[:, 0]]

@@ -5,21 +5,63 @@ Conventions: `corners` (F, 3, 3) m; `faces` (F, 3) rows of vertices.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.rows import taken, unique_numbers, unique_rows
+from soundspaces_sim.core.numerics.vec3 import add, cross, divide, dot, length, put, row, subtract
+
+_LEAST = 2**14  # triangles that are worth a thread
+
+
+@kernel
+def _cross(first: int, last: int, corners: np.ndarray, out: np.ndarray) -> None:
+    for i in range(first, last):
+        a = row(corners[i], 0)
+        put(out, i, cross(subtract(row(corners[i], 1), a), subtract(row(corners[i], 2), a)))
 
 
 def cross_products(corners: np.ndarray) -> np.ndarray:
     """(F, 3) normals as long as twice each triangle's area, m²; right-handed in the order of corners."""
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return _filled(_cross, corners, np.empty((len(corners), 3)))
+
+
+@kernel
+def _areas(first: int, last: int, corners: np.ndarray, out: np.ndarray) -> None:
+    for i in range(first, last):
+        a = row(corners[i], 0)
+        out[i] = 0.5 * length(cross(subtract(row(corners[i], 1), a), subtract(row(corners[i], 2), a)))
 
 
 def areas(corners: np.ndarray) -> np.ndarray:
     """(F,) m²."""
-    return np.asarray(0.5 * np.linalg.norm(cross_products(corners), axis=1))
+    return _filled(_areas, corners, np.empty(len(corners)))
+
+
+def _filled(fill: Any, corners: np.ndarray, out: np.ndarray) -> np.ndarray:
+    over_rows(fill, len(corners), np.ascontiguousarray(corners, float), out, least=_LEAST)
+    return out
+
+
+@kernel
+def _middles(first: int, last: int, corners: np.ndarray, out: np.ndarray) -> None:
+    for i in range(first, last):
+        total = add(add(row(corners[i], 0), row(corners[i], 1)), row(corners[i], 2))
+        put(out, i, divide(total, 3.0))
+
+
+def middles(corners: np.ndarray) -> np.ndarray:
+    """(F, 3) m, means of each triangle's corners."""
+    return _filled(_middles, corners, np.empty((len(corners), 3)))
+
+
+def corners_of(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(F, 3, 3) `vertices[faces]`, in a third of its time."""
+    return taken(vertices, faces.ravel()).reshape(*faces.shape, 3)
 
 
 def used_rows(faces: np.ndarray, points: int) -> np.ndarray:
@@ -29,20 +71,33 @@ def used_rows(faces: np.ndarray, points: int) -> np.ndarray:
     return np.flatnonzero(used)
 
 
-def lowest(corners: np.ndarray) -> np.ndarray:
-    """(F, 3) least coordinates of each triangle, m."""
-    # A reduction over an axis of three takes ten times as long.
-    return np.minimum(np.minimum(corners[:, 0], corners[:, 1]), corners[:, 2])
+@kernel
+def _boxes(first: int, last: int, corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+    for i in range(first, last):
+        for k in range(3):
+            a, b, c = corners[i, 0, k], corners[i, 1, k], corners[i, 2, k]
+            low[i, k] = np.minimum(np.minimum(a, b), c) + 0.0  # -0 is 0
+            high[i, k] = np.maximum(np.maximum(a, b), c) + 0.0
 
 
-def highest(corners: np.ndarray) -> np.ndarray:
-    """(F, 3) greatest coordinates of each triangle, m."""
-    return np.maximum(np.maximum(corners[:, 0], corners[:, 1]), corners[:, 2])
+def boxes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(F, 3) least and greatest coordinates of each triangle, m."""
+    low, high = np.empty((2, len(corners), 3))
+    over_rows(_boxes, len(corners), np.ascontiguousarray(corners, float), low, high, least=_LEAST)
+    return low, high
+
+
+@kernel
+def _longest_edges(first: int, last: int, corners: np.ndarray, out: np.ndarray) -> None:
+    for i in range(first, last):
+        a, b, c = row(corners[i], 0), row(corners[i], 1), row(corners[i], 2)
+        ab, bc, ca = subtract(a, b), subtract(b, c), subtract(c, a)
+        out[i] = np.maximum(np.maximum(dot(ab, ab), dot(bc, bc)), dot(ca, ca))
 
 
 def longest_edges(corners: np.ndarray) -> np.ndarray:
     """(F,) squared length of each triangle's longest edge, m²."""
-    return np.asarray(((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1))
+    return _filled(_longest_edges, corners, np.empty(len(corners)))
 
 
 def weld(points: np.ndarray, decimals: int) -> tuple[np.ndarray, np.ndarray]:
@@ -61,6 +116,27 @@ def welded(corners: np.ndarray, decimals: int) -> tuple[np.ndarray, np.ndarray]:
     """The same of corners: (V, 3) rounded points, and (F, 3) rows of them."""
     points, row = weld(corners.reshape(-1, 3), decimals)
     return points, row.reshape(-1, 3)
+
+
+def welded_faces(
+    vertices: np.ndarray, faces: np.ndarray, decimals: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """`welded(vertices[faces], decimals)`: of a mesh whose faces share vertices in a fraction of the time."""
+    used = used_rows(faces, len(vertices))
+    points, row = weld(vertices[used], decimals)
+    of_vertex = np.empty(len(vertices), np.int64)
+    of_vertex[used] = row
+    return points, of_vertex[faces]
+
+
+def side_numbers(faces: np.ndarray) -> np.ndarray:
+    """(F, 3) number of the side from each corner to the next: sides between the same two points are one."""
+    start, end = faces, faces[:, [1, 2, 0]]
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    if len(faces) == 0 or int(high.max()) ** 2 >= 2**62:
+        pairs = np.stack([low, high], axis=2).reshape(-1, 2)
+        return unique_rows(pairs)[1].reshape(-1, 3)
+    return unique_numbers((low * (high.max() + 1) + high).ravel())[1].reshape(-1, 3)
 
 
 def pieces_of(faces: np.ndarray, points: int) -> np.ndarray:

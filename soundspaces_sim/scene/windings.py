@@ -15,8 +15,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from soundspaces_sim.core.numerics.rows import in_order
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import welded
+from soundspaces_sim.scene.triangles import middles, welded_faces
 
 LARGEST_RADIUS = (
     0.5  # m, 3 V / A of what no room has; a wall of thickness t has 1.5 t, a small bathroom 0.6 m
@@ -66,16 +67,14 @@ def find_sides(scene: Scene) -> Sides:
 
 
 def _in_place(scene: Scene) -> np.ndarray:
-    return welded(scene.corners, _WELD)[1]
+    return welded_faces(scene.vertices, scene.faces, _WELD)[1]
 
 
 def _neighbours(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(2, n) faces on both sides of the edges that have two, and whether these are wound alike."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    owner = np.repeat(np.arange(len(faces)), 3)
-    key = np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    key, owner, turn = key[order], owner[order], (start < end)[order]
+    key, order = in_order(np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end))
+    owner, turn = order // 3, (start < end)[order]
     fresh = np.append(np.flatnonzero(np.append(True, key[1:] != key[:-1])), len(key))
     first = fresh[:-1][np.diff(fresh) == 2]  # an edge of more faces parts pieces that touch
     first = first[owner[first] != owner[first + 1]]
@@ -89,7 +88,7 @@ def _bodies(scene: Scene, piece: np.ndarray, sign: np.ndarray) -> tuple[np.ndarr
     vectors = (scene.areas * sign)[:, None] * scene.normals
     opening = np.stack([np.bincount(piece, column) for column in vectors.T], axis=1)
     middle: np.ndarray = np.stack(
-        [np.bincount(piece, scene.areas * x) for x in scene.corners.mean(axis=1).T], axis=1
+        [np.bincount(piece, scene.areas * x) for x in middles(scene.corners).T], axis=1
     )
     middle = middle / np.maximum(area, 1e-300)[:, None]
     height = ((scene.corners[:, 0] - middle[piece]) * vectors).sum(axis=1)

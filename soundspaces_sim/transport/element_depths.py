@@ -8,6 +8,7 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.vec3 import negate, row
+from soundspaces_sim.scene.rays.box_tree import in_place_order
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf import TRANSMISSION
@@ -27,11 +28,14 @@ def _find_depths(
     scene: tuple[Geometry, Surfaces],
     corners: np.ndarray,
     area: np.ndarray,
+    order: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Fill `out` (F, 2): greatest depth behind each of the (F, 3, 3) faces, m, and the share that is a sheet."""
+    """Fill `out` (F, 2), in this order: greatest depth behind each of the (F, 3, 3) faces, m, and the share
+    that is a sheet."""
     geometry, surfaces = scene
-    for i in range(first, last):
+    for place in range(first, last):
+        i = order[place]
         out[i, 0], out[i, 1] = 0.0, 1.0
         if geometry.outward[i] == 0:
             continue
@@ -45,13 +49,13 @@ def _find_depths(
             s, t = root * (1.0 - v), root * v
             a, b, c = row(corners[i], 0), row(corners[i], 1), row(corners[i], 2)
             r = 1.0 - s - t
-            place = (
+            start = (
                 r * a[0] + s * b[0] + t * c[0],
                 r * a[1] + s * b[1] + t * c[1],
                 r * a[2] + s * b[2] + t * c[2],
             )
             none = surfaces.energy[0, 0, :0]
-            way = way_through(geometry, surfaces, i, place, inwards, math.inf, True, none)
+            way = way_through(geometry, surfaces, i, start, inwards, math.inf, True, none)
             if way.triangle < 0:
                 sheets += 1
             else:
@@ -65,7 +69,10 @@ def element_depths(
     """(F, 2) greatest depth that is found behind each of (F, 3, 3) faces, m, and the share of it that is a sheet.
     `corners` relative to the scene's centre, `area` (F,) m²."""
     out = np.empty((len(corners), 2))
-    over_rows(_find_depths, len(corners), (geometry, surfaces), np.ascontiguousarray(corners), area, out)
+    # Rays that begin near each other find what they meet in a cache.
+    order = in_place_order(corners)
+    corners = np.ascontiguousarray(corners)
+    over_rows(_find_depths, len(corners), (geometry, surfaces), corners, area, order, out)
     return out
 
 

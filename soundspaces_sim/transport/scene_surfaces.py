@@ -8,16 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.io.check_cached import like, within
 from soundspaces_sim.core.io.disk_cache import cached_on_disk
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.scene import Scene, scene_key
 from soundspaces_sim.scene.windings import Sides, find_sides
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.bsdf.scores import with_scores
 from soundspaces_sim.transport.bsdf.surface import Surfaces, law_rows, make_surfaces
-from soundspaces_sim.transport.check_cached import like, scene_key, within
 from soundspaces_sim.transport.model import PreparedScene
 from soundspaces_sim.transport.reflection_counts.groups import group_of_material
 

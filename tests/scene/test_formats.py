@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import struct
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -216,7 +217,9 @@ def test_decimation_keeps_shape_and_labels() -> None:
     mesh = LabelledMesh(
         np.asarray(sphere.vertices), np.asarray(sphere.faces), ("floor", "ceiling"), upper, "ball"
     )
+    mesh = replace(mesh, materials={"floor": table(0.1, 0.1)})
     small = decimate_mesh(mesh, 0.1)
+    assert small.materials == mesh.materials
     assert 0.08 * len(mesh.faces) < len(small.faces) < 0.12 * len(mesh.faces)
     corners = small.vertices[small.faces]
     area = 0.5 * np.linalg.norm(

@@ -12,7 +12,8 @@ from soundspaces_sim.build.inspect import inspect_scene
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.rays.geometry import Geometry, intersect
-from tests.rooms import plain
+from soundspaces_sim.scene.rays.overlaps import find_overlaps
+from tests.rooms import plain, table
 
 SIZE = np.array([6.0, 5.0, 3.0])
 SLAB, CARPET = 0.03, 0.8
@@ -236,3 +237,31 @@ def test_radiance_transfer_of_what_is_covered() -> None:
     error = 4.34 * np.hypot(*(x.std(ddof=1) / x.mean() / 2.0 for x in late))
     assert error < 0.1
     assert abs(ratio) < 4.0 * error
+
+
+def test_every_pair_of_random_rectangles_is_found_once() -> None:
+    """Their shared areas are products of what intervals share; triangles of either come in any order."""
+    rng = np.random.default_rng(3)
+    low = rng.uniform(0.0, 10.0, (400, 2))
+    high = low + rng.uniform(0.05, 1.0, (400, 2))
+    z = rng.integers(0, 3, 400) * 0.5
+    triangles = []
+    for (x0, y0), (x1, y1), at in zip(low, high, z, strict=True):
+        a, b, c, d = ([x0, y0, at], [x1, y0, at], [x1, y1, at], [x0, y1, at])
+        triangles += [[a, b, c], [a, c, d]]
+    order = rng.permutation(len(triangles))
+    corners = np.array(triangles)[order]
+    normals = np.tile([0.0, 0.0, 1.0], (len(corners), 1))
+    material = np.zeros(len(corners), np.int64)
+    found = find_overlaps(corners, normals, 1e-5, material, table(0.1, 0.1))
+    shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+    area = np.maximum(shared, 0.0).prod(axis=2) * (z[:, None] == z)
+    expected = float(np.triu(area, 1).sum())
+    assert expected > 15.0
+    assert found.area.sum() == pytest.approx(
+        expected, rel=2e-3
+    )  # outlines count by half the offset less
+    pairs = np.sort(np.column_stack([found.below, found.above]), axis=1)
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    owner = (order // 2)[pairs]
+    assert (area[owner[:, 0], owner[:, 1]] > 0.0).all()

@@ -11,7 +11,7 @@ from soundspaces_sim.build.plan import job_key
 from soundspaces_sim.core.config import JobConfig, SimulationConfig
 from soundspaces_sim.scene.materials import load_materials, pass_absorption, porous_share
 from soundspaces_sim.scene.porous_layers import mounted, with_free_sheets
-from soundspaces_sim.transport.check_cached import scene_key
+from soundspaces_sim.scene.scene import scene_key
 from soundspaces_sim.transport.scene_surfaces import scene_surfaces
 from tests.rooms import box, plain, plane, table
 from tests.transport.test_find_wedges import _cuboid

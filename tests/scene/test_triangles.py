@@ -3,9 +3,21 @@
 from typing import Any
 
 import numpy as np
+import pytest
 import trimesh
 
-from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges, pieces_of, welded
+from soundspaces_sim.scene.triangles import (
+    areas,
+    boxes,
+    corners_of,
+    cross_products,
+    longest_edges,
+    middles,
+    pieces_of,
+    side_numbers,
+    welded,
+    welded_faces,
+)
 
 
 def test_areas_and_normals_of_a_3_4_5_triangle() -> None:
@@ -30,3 +42,47 @@ def test_pieces_of_loose_and_welded_corners() -> None:
     np.testing.assert_array_equal(pieces, np.repeat([0, 1, 2], 12))
     mesh.merge_vertices()
     assert mesh.body_count == 3
+
+
+def _soup(number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles between vertices of which some are in one place, and some, which are not finite, unused."""
+    rng = np.random.default_rng(number)
+    vertices = rng.normal(size=(number, 3)).round(1) + rng.choice([0.0, 1e-7], (number, 3))
+    vertices[-3:] = np.nan, np.inf, -np.inf
+    return vertices, rng.integers(0, number - 3, (2 * number, 3))
+
+
+def test_to_the_bit_as_numpy_measures() -> None:
+    vertices, faces = _soup(9000)  # more than one thread has
+    corners = vertices[faces]
+    np.testing.assert_array_equal(corners_of(vertices, faces), corners)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.testing.assert_array_equal(cross_products(corners), cross)
+    np.testing.assert_array_equal(areas(corners), 0.5 * np.linalg.norm(cross, axis=1))
+    np.testing.assert_array_equal(middles(corners), corners.mean(axis=1))
+    edges = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
+    np.testing.assert_array_equal(longest_edges(corners), edges)
+    for found, expected in zip(boxes(corners), (corners.min(axis=1), corners.max(axis=1)), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    corners[7, 1, 2] = np.nan
+    assert all(np.isnan(found[7, 2]) for found in boxes(corners))
+
+
+@pytest.mark.parametrize("number", [40, 60_000])
+def test_vertices_are_welded_as_corners_are(number: int) -> None:
+    vertices, faces = _soup(number)
+    for found, expected in zip(
+        welded_faces(vertices, faces, 5), welded(vertices[faces], 5), strict=True
+    ):
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("number", [40, 60_000])
+def test_sides_between_the_same_points_are_one(number: int) -> None:
+    _, faces = _soup(number)
+    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    expected = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)[1]
+    np.testing.assert_array_equal(side_numbers(faces).ravel(), expected.ravel())
+    far = faces + 2**40  # whose products are beyond any number
+    np.testing.assert_array_equal(side_numbers(far), side_numbers(faces))
+    assert side_numbers(faces[:0]).shape == (0, 3)

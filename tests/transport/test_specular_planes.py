@@ -6,7 +6,8 @@ import trimesh
 
 import soundspaces_sim as ss
 from soundspaces_sim.echogram.echogram import KINDS, MIRRORS, MIRRORS_AND_BACK
-from soundspaces_sim.transport.arrivals.specular_planes import group_planes
+from soundspaces_sim.scene.triangles import cross_products
+from soundspaces_sim.transport.arrivals.specular_planes import _in_blocks, _near, group_planes
 from tests.rooms import plain, table
 
 
@@ -114,3 +115,24 @@ def test_no_reflection_there_and_back_is_there_twice() -> None:
     error = float(np.std(totals, ddof=1)) / np.sqrt(seeds)
     assert error < 0.1 * third
     assert abs(float(np.mean(totals)) - exact) < 4.0 * error, (np.mean(totals), exact, error)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_near_a_plane_is_found_as_one_by_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    corners = (
+        rng.uniform(0.0, 5.0, (1, 3))
+        + rng.normal(size=(3000, 1, 3))
+        + rng.normal(size=(3000, 3, 3)) * 0.05
+    )
+    normal = cross_products(corners)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    free, blocks, room = rng.random(3000) < 0.7, _in_blocks(corners), np.empty(3000, np.int64)
+    count = 0
+    for n in normal[:40]:
+        d, offset = float(corners.mean(axis=(0, 1)) @ n), 0.1
+        found = _near(normal, corners, free, blocks, n, d, 0.5, offset, room)
+        near = (np.abs(corners @ n - d) < offset).all(axis=1)
+        np.testing.assert_array_equal(found, np.flatnonzero(free & near & (np.abs(normal @ n) > 0.5)))
+        count += len(found)
+    assert count > 400

@@ -42,7 +42,7 @@ _MOST_HEAD = 2**16  # bytes of the line that describes the arrays
 _WORTH_S = 0.5  # what is made sooner is not kept
 _ROOMS = ("core/numerics", "scene", "transport")  # whose code makes what is kept
 _ROUND = ("numpy", "scipy", "numba", "trimesh")
-_TYPES = ("<f8", "<f4", "<i8", "<i4", "<u2", "|b1")
+_TYPES = ("<f8", "<f4", "<i8", "<i4", "<u2", "|u1", "|b1")
 
 
 def cached_on_disk(

@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import part
+from soundspaces_sim.core.numerics.kernel import kernel, part
+from soundspaces_sim.core.numerics.rows import in_order, taken
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, divide, length, subtract
-from soundspaces_sim.scene.triangles import highest, lowest
+from soundspaces_sim.scene.triangles import boxes
 
 LEAF = 4  # triangles
 _BITS = 16  # of a coordinate in Morton codes
@@ -32,7 +33,7 @@ def _morton_order(points: np.ndarray) -> np.ndarray:
     cell = ((points - least) * ((2**_BITS - 1) / max(extent, 1e-300))).astype(np.int64)
     for shift, mask in _SPREAD:
         cell = (cell | cell << shift) & mask
-    return np.argsort(cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2, kind="stable")
+    return in_order(cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2)[1]
 
 
 def in_place_order(corners: np.ndarray) -> np.ndarray:
@@ -42,31 +43,40 @@ def in_place_order(corners: np.ndarray) -> np.ndarray:
 
 def make_box_tree(corners: np.ndarray) -> BoxTree:
     """The tree of (F, 3, 3) corners."""
-    low, high = lowest(corners), highest(corners)
+    low, high = boxes(corners)
     order = _morton_order(0.5 * (low + high))
     leaves = 1 << max(int(np.ceil(np.log2(len(order) / LEAF))), 0)
     triangle = np.full(leaves * LEAF, -1)
     triangle[: len(order)] = order
-    boxes = []
-    for values, of_none, extreme in ((low, np.inf, np.minimum), (high, -np.inf, np.maximum)):
-        nodes = np.full((2 * leaves, 3), of_none)
-        padded = np.full((leaves * LEAF, 3), of_none)
-        padded[: len(order)] = values[order]
-        for k in range(LEAF):
-            nodes[leaves:] = extreme(nodes[leaves:], padded[k::LEAF])
-        first = leaves
-        while first > 1:
-            pairs = nodes[first : 2 * first].reshape(-1, 2, 3)
-            first //= 2
-            nodes[first : 2 * first] = extreme(pairs[:, 0], pairs[:, 1])
-        boxes.append(nodes)
-    return BoxTree(*boxes, triangle.reshape(leaves, LEAF))
+    tree = BoxTree(*np.empty((2, 2 * leaves, 3)), triangle.reshape(leaves, LEAF))
+    _bound(tree, low, high)
+    return tree
+
+
+@kernel
+def _bound(tree: BoxTree, low: np.ndarray, high: np.ndarray) -> None:
+    """Fill the tree's boxes with those about the triangles', which go from `low` (F, 3) to `high`."""
+    leaves = len(tree.triangle)
+    for node in range(2 * leaves - 1, 0, -1):
+        for axis in range(3):
+            least, most = np.inf, -np.inf
+            if node < leaves:
+                least = min(tree.low[2 * node, axis], tree.low[2 * node + 1, axis])
+                most = max(tree.high[2 * node, axis], tree.high[2 * node + 1, axis])
+            else:
+                for k in range(LEAF):
+                    t = tree.triangle[node - leaves, k]
+                    if t >= 0:
+                        least, most = min(least, low[t, axis]), max(most, high[t, axis])
+            tree.low[node, axis], tree.high[node, axis] = least, most
+    for axis in range(3):  # no node
+        tree.low[0, axis], tree.high[0, axis] = np.inf, -np.inf
 
 
 def of_leaves(tree: BoxTree, rows: np.ndarray) -> np.ndarray:
-    """(L * LEAF, …) rows of the triangles (F, …) in the order of the leaves: what a search reads is then near in
-    memory. Where a leaf has none it is any row."""
-    return np.ascontiguousarray(rows[np.maximum(tree.triangle.ravel(), 0)])
+    """Rows of the triangles (F, …) in the order of the leaves, which are filled from the first one on, so that a
+    search reads what is near in memory."""
+    return taken(rows, tree.triangle.ravel()[: len(rows)])
 
 
 @part

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.io.check_cached import like, within
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, dot, length, row, subtract
@@ -18,10 +19,10 @@ from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, ma
 from soundspaces_sim.scene.rays.geometry import Covers, Geometry
 from soundspaces_sim.scene.triangles import (
     areas,
+    boxes,
     cross_products,
-    highest,
-    lowest,
     pieces_of,
+    side_numbers,
     welded,
 )
 
@@ -42,6 +43,14 @@ class Overlaps(NamedTuple):
     contact: (
         np.ndarray
     )  # (n,) of two materials: a body stands on what looks the other way, which nobody hears
+
+
+def are_pairs(found: Overlaps, faces: int) -> bool:
+    """Whether these can be the overlaps of so many triangles."""
+    expected = {"below": "i8 n", "above": "i8 n", "area": "f8 n", "contact": "b1 n"}
+    return like(found, expected, {}) and all(
+        within(triangle, 0, faces - 1) for triangle in (found.below, found.above)
+    )
 
 
 @part(forceinline=True)
@@ -85,60 +94,113 @@ def _shared_area(
     return 0.5 * abs(twice) / max(length(cross(sides[0], sides[1])), 1e-30)  # their axes are oblique
 
 
+class _Pairs(NamedTuple):
+    """n pairs of triangles in one place, each of them once."""
+
+    triangle: np.ndarray  # (n, 2), the lower number first
+    area: np.ndarray  # (n,) m², that they share
+
+
+class _There(NamedTuple):
+    """Triangles in the order of a tree's leaves, so that what is near in space is near in memory."""
+
+    corners: np.ndarray  # (n, 3, 3) m
+    normal: np.ndarray  # (n, 3)
+    low: np.ndarray  # (n, 3) m, boxes
+    high: np.ndarray  # (n, 3) m
+
+
+@part(forceinline=True)
+def _meets(
+    low: np.ndarray, high: np.ndarray, i: int, lows: np.ndarray, highs: np.ndarray, j: int, near: float
+) -> bool:
+    """Whether box i of some is up to `near` m from box j of others."""
+    return bool(
+        low[i, 0] <= highs[j, 0] + near and high[i, 0] >= lows[j, 0] - near
+        and low[i, 1] <= highs[j, 1] + near and high[i, 1] >= lows[j, 1] - near
+        and low[i, 2] <= highs[j, 2] + near and high[i, 2] >= lows[j, 2] - near
+    )  # fmt: skip
+
+
+@part
+def _pairs_of_leaves(
+    one: int,
+    other: int,
+    tree: BoxTree,
+    there: _There,
+    near: float,
+    inside: float,
+    found: _Pairs,
+    at: int,
+    polygon: np.ndarray,
+) -> int:
+    """The pairs of a leaf's triangles with those of one that does not come before it, into `found` from row `at` on
+    where there is room; how many there are."""
+    count, leaves = 0, len(tree.triangle)
+    for n in range(LEAF):
+        own = one * LEAF + n
+        if tree.triangle[one, n] < 0 or not _meets(
+            tree.low, tree.high, leaves + other, there.low, there.high, own, near
+        ):
+            continue
+        for k in range(n + 1 if one == other else 0, LEAF):
+            its = other * LEAF + k
+            if tree.triangle[other, k] < 0 or not _meets(
+                there.low, there.high, its, there.low, there.high, own, near
+            ):
+                continue
+            if abs(dot(row(there.normal, own), row(there.normal, its))) < _PARALLEL:
+                continue
+            i, t, p, q = tree.triangle[one, n], tree.triangle[other, k], own, its
+            if t < i:
+                i, t, p, q = t, i, q, p
+            normal = row(there.normal, p)
+            sides = _sides(there.corners[p], normal)
+            shared = _shared_area(
+                there.corners[p], sides, normal, there.corners[q], near, inside, polygon
+            )
+            if shared > 0.0:
+                if len(found.area) > 0:
+                    found.triangle[at + count, 0], found.triangle[at + count, 1] = i, t
+                    found.area[at + count] = shared
+                count += 1
+    return count
+
+
 @kernel
-def _pairs(
+def _find_pairs(
     first: int,
     last: int,
     tree: BoxTree,
-    corners: np.ndarray,
-    normals: np.ndarray,
+    there: _There,
     near: float,
     inside: float,
     start: np.ndarray,
-    partner: np.ndarray,
-    area: np.ndarray,
+    found: _Pairs,
     polygon: np.ndarray,
 ) -> None:
-    """Triangles after triangle i that lie in its place, those of a leaf of the tree each: their number to
-    `start[i + 1]` where `partner` is empty, else they and the areas from `start[i]` on. `corners` and `normals` are
-    in the order of the leaves, so that what is near in space is near in memory."""
+    """Triangles that lie in one place, by the leaf of the tree in which the first of them is: their number to
+    `start[leaf + 1]` where there is no room in `found`, else they from row `start[leaf]` on."""
     leaves = len(tree.triangle)
-    for place in range(first * LEAF, last * LEAF):
-        i = tree.triangle[place // LEAF, place % LEAF]
-        if i < 0 or (len(partner) > 0 and start[i + 1] == start[i]):
+    for leaf in range(first, last):
+        if tree.triangle[leaf, 0] < 0 or (len(found.area) > 0 and start[leaf] == start[leaf + 1]):
             continue
-        own = corners[place]
-        low, high = row(own, 0), row(own, 0)
-        for k in range(1, 3):
-            x, y, z = row(own, k)
-            low = min(low[0], x), min(low[1], y), min(low[2], z)
-            high = max(high[0], x), max(high[1], y), max(high[2], z)
-        normal, found, node = row(normals, place), 0, 1
-        sides = _sides(own, normal)
+        node, count = leaves + leaf, 0
         while node > 0:
-            if (
-                tree.low[node, 0] <= high[0] + near and tree.high[node, 0] >= low[0] - near
-                and tree.low[node, 1] <= high[1] + near and tree.high[node, 1] >= low[1] - near
-                and tree.low[node, 2] <= high[2] + near and tree.high[node, 2] >= low[2] - near
-            ):  # fmt: skip
+            if _meets(tree.low, tree.high, node, tree.low, tree.high, leaves + leaf, near):
                 if node < leaves:
                     node *= 2
                     continue
-                for k in range(LEAF):
-                    t, there = tree.triangle[node - leaves, k], (node - leaves) * LEAF + k
-                    if t <= i or abs(dot(normal, row(normals, there))) < _PARALLEL:
-                        continue
-                    shared = _shared_area(own, sides, normal, corners[there], near, inside, polygon)
-                    if shared > 0.0:
-                        if len(partner) > 0:
-                            partner[start[i] + found], area[start[i] + found] = t, shared
-                        found += 1
+                at = start[leaf] + count
+                count += _pairs_of_leaves(
+                    leaf, node - leaves, tree, there, near, inside, found, at, polygon
+                )
             while node & 1:
                 node >>= 1
             if node > 0:
                 node += 1
-        if len(partner) == 0:
-            start[i + 1] = found
+        if len(found.area) == 0:
+            start[leaf + 1] = count
 
 
 def find_overlaps(
@@ -173,19 +235,19 @@ def _found(
 ) -> Overlaps:
     """Pairs up to `near` m apart that share an area, of which `inside` m beyond either outline count to it."""
     tree = make_box_tree(corners)
-    there, upright = of_leaves(tree, corners), of_leaves(tree, normals)
-    start, partner, area = np.zeros(len(corners) + 1, np.int64), np.empty(0, np.int64), np.empty(0)
+    at, upright = of_leaves(tree, corners), of_leaves(tree, normals)
+    there = _There(at, upright, *boxes(at))
+    start = np.zeros(len(tree.triangle) + 1, np.int64)
     for _ in range(2):  # they are counted, then noted
+        found = _Pairs(np.empty((start[-1], 2), np.int64), np.empty(start[-1]))
         over_rows(
-            _pairs, len(tree.triangle), tree, there, upright, near, inside, start, partner, area,
+            _find_pairs, len(tree.triangle), tree, there, near, inside, start, found,
             scratch=lambda: np.empty((2, _MOST_CORNERS, 4)),
         )  # fmt: skip
-        if len(partner) == 0:
-            start = np.cumsum(start)
-            partner, area = np.empty(start[-1], np.int64), np.empty(start[-1])
-        if len(partner) == 0:
-            return Overlaps(partner, partner, area, np.empty(0, bool))
-    pairs = np.column_stack([np.repeat(np.arange(len(corners)), np.diff(start)), partner])
+        start = np.cumsum(start) if len(found.area) == 0 else start
+        if start[-1] == 0:
+            return Overlaps(*np.empty((2, 0), np.int64), np.empty(0), np.empty(0, bool))
+    pairs, area = found
     mixed = pairs[material[pairs[:, 0]] != material[pairs[:, 1]]]  # others sound alike
     piece, size = _pieces(corners, normals, material, np.unique(mixed))
     rank = _ranks(size, material, table)
@@ -236,12 +298,11 @@ def _bases(corners: np.ndarray, piece: np.ndarray, chosen: np.ndarray) -> np.nda
     """(F,) whether triangles are of one of the `chosen` pieces, and other faces rise from its whole outline: a body
     stands on it."""
     of_chosen = np.isin(piece, chosen)
-    low, high = lowest(corners), highest(corners)
+    low, high = boxes(corners)
     near = (high >= low[of_chosen].min(axis=0) - 1e-3).all(axis=1)
     some = np.flatnonzero(near & (low <= high[of_chosen].max(axis=0) + 1e-3).all(axis=1))
     point = welded(corners[some], 4)[1]
-    ends = np.sort(np.stack([point, np.roll(point, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
-    edge = unique_rows(ends)[1]
+    edge = side_numbers(point).ravel()
     of_edge = np.repeat(piece[some], 3)
     both = unique_rows(np.column_stack([edge, of_edge]))[1]
     alone = np.bincount(both)[both] == 1

@@ -22,11 +22,11 @@ from scipy.spatial import cKDTree
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.rows import unique_rows
-from soundspaces_sim.core.numerics.vec3 import Vec3, row, scale
+from soundspaces_sim.core.numerics.rows import in_order, unique_rows
+from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, length, put, row, scale, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import used_rows, weld
+from soundspaces_sim.scene.triangles import side_numbers, welded_faces
 from soundspaces_sim.transport.arrivals.plane_edges import Candidate, plane_edges
 from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point, no_wedges
 
@@ -143,27 +143,38 @@ class _Pieces(NamedTuple):
 
 
 def _pieces(vertices: np.ndarray, faces: np.ndarray) -> _Pieces:
-    used = used_rows(faces, len(vertices))
-    row = np.empty(len(vertices), np.int64)
-    points, row[used] = weld(vertices[used], _WELD)
-    faces = row[faces]
+    points, faces = welded_faces(vertices, faces, _WELD)
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    ends = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
-    third = np.concatenate([faces[:, (k + 2) % 3] for k in range(3)])
-    ends = np.sort(ends, axis=1)
-    a, b = points[ends[:, 0]], points[ends[:, 1]]
-    inward = points[third] - a
-    inward -= ((inward * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1))[:, None] * (b - a)
-    width = np.linalg.norm(inward, axis=1)
-    inward /= np.maximum(width, 1e-300)[:, None]
-    side = unique_rows(ends)[1]
+    inward, width = np.empty((3 * len(faces), 3)), np.empty(3 * len(faces))
+    over_rows(_find_inward, len(faces), points, faces, inward, width)
+    side = side_numbers(faces).T.ravel()
     count = np.bincount(side)
     total = np.stack([np.bincount(side, w, len(count)) for w in inward.T], axis=1)
     # Two unit vectors, x away from opposite, have a sum of length 2 sin(x / 2).
     flat = (count == 2) & (np.linalg.norm(total, axis=1) < 2.0 * np.sin(0.5 * MIN_ANGLE))
     flat[side[width < _SLIVER]] = False
-    keep = ~flat[side] & (width >= _SLIVER)
-    return _Pieces(a[keep], b[keep], inward[keep])
+    keep = np.flatnonzero(~flat[side] & (width >= _SLIVER))
+    k, face = np.divmod(keep, max(len(faces), 1))
+    one, other = faces[face, k], faces[face, (k + 1) % 3]
+    return _Pieces(points[np.minimum(one, other)], points[np.maximum(one, other)], inward[keep])
+
+
+@kernel
+def _find_inward(
+    first: int, last: int, points: np.ndarray, faces: np.ndarray, inward: np.ndarray, width: np.ndarray
+) -> None:
+    """Fill `inward` (3 F, 3), see `_Pieces`, of all first sides, then all second and all third ones, and how
+    wide (`width`, m) the triangle is there."""
+    for f in range(first, last):
+        for k in range(3):
+            one, other = faces[f, k], faces[f, (k + 1) % 3]
+            a = row(points, min(one, other))
+            along_side = subtract(row(points, max(one, other)), a)
+            off = subtract(row(points, faces[f, (k + 2) % 3]), a)
+            off = subtract(off, scale(dot(off, along_side) / dot(along_side, along_side), along_side))
+            place = k * len(faces) + f
+            width[place] = length(off)
+            put(inward, place, divide(off, max(width[place], 1e-300)))
 
 
 def _lines(pieces: _Pieces) -> list[np.ndarray]:
@@ -173,17 +184,19 @@ def _lines(pieces: _Pieces) -> list[np.ndarray]:
     d = pieces.b - pieces.a
     d /= np.linalg.norm(d, axis=1)[:, None]
     d *= np.where(d @ _GENERIC < 0.0, -1.0, 1.0)[:, None]
-    middle = 0.5 * (pieces.a + pieces.b)
-    foot = middle - (middle * d).sum(axis=1)[:, None] * d
-    reach = np.linalg.norm(middle, axis=1).max() + 1.0
-    key = np.round(np.concatenate([d * reach, foot], axis=1), 5)
-    first, row = unique_rows(key)
-    key = key[first]
+    foot = 0.5 * (pieces.a + pieces.b)
+    reach = np.linalg.norm(foot, axis=1).max() + 1.0
+    foot -= (foot * d).sum(axis=1)[:, None] * d
+    whole = np.empty((len(d), 6), np.int64)
+    whole[:, :3], whole[:, 3:] = np.rint(d * reach * 1e5), np.rint(foot * 1e5)
+    first, row = unique_rows(whole)
+    key = whole[first] / 1e5
+    del foot, whole  # of a scan they are the most memory that is taken
     near = cKDTree(key).query_pairs(_COLLINEAR, output_type="ndarray")
     collinear = coo_array((np.ones(len(near), np.int8), near.T), shape=(len(key), len(key)))
     line = connected_components(collinear, directed=False)[1][row]
-    order = np.argsort(line, kind="stable")
-    start = np.searchsorted(line[order], np.arange(line.max() + 2))
+    order = in_order(line)[1]
+    start = np.append(0, np.cumsum(np.bincount(line)))
     along = d[order[start[:-1]]][line]
     at = np.stack([(p * along).sum(axis=1) for p in (pieces.a, pieces.b)])
     low = np.minimum.reduceat(at.min(axis=0)[order], start[:-1])

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.io.check_cached import are_starts, like, within
 from soundspaces_sim.core.io.disk_cache import cached_on_disk
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.scene.scene import Scene, scene_key
 from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
 from soundspaces_sim.transport.arrivals.scene_edges import (
     MutualVisibility,
@@ -14,7 +15,6 @@ from soundspaces_sim.transport.arrivals.scene_edges import (
 )
 from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes, group_planes
 from soundspaces_sim.transport.arrivals.wedges import Wedges, no_wedges
-from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.model import PreparedScene
 from soundspaces_sim.transport.technique import Facets
 

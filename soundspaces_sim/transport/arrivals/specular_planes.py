@@ -14,7 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.scene.triangles import areas, cross_products, longest_edges
+from soundspaces_sim.scene.rays.box_tree import in_place_order
+from soundspaces_sim.scene.triangles import (
+    areas,
+    boxes,
+    corners_of,
+    cross_products,
+    longest_edges,
+    middles,
+)
 
 _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
 _MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
@@ -23,6 +31,8 @@ _NOISE = 3.0  # times a rough plane's rms stray: what is nearer is part of it
 _FLAT = 0.0005  # m
 _SEED = 0.25  # of the least area, of what a plane grows from
 _GROW, _GROWN = 8, 1.01  # times at most, while a plane grows by more than this
+_BLOCK = 32  # faces that are tried together
+_ROUNDING = 1e-6  # m, more than it is
 _SLAB = 0.5  # of a group's rms stray: two sides that stray less are those of a slab
 
 
@@ -51,7 +61,7 @@ class SpecularPlanes(NamedTuple):
 
 def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) -> SpecularPlanes:
     """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes."""
-    corners = vertices[faces]
+    corners = corners_of(vertices, faces)
     cross = cross_products(corners)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
@@ -59,23 +69,22 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) 
     largest = np.take_along_axis(normal, np.abs(normal).argmax(axis=1)[:, None], axis=1)
     turned = largest[:, 0] < 0.0
     normal = normal * np.where(turned, -1.0, 1.0)[:, None]
-    centroid = corners.mean(axis=1)
+    centroid = middles(corners)
 
     of_face = np.full(len(faces), -1, np.int64)
     free = np.ones(len(faces), bool)
-    left = np.arange(len(faces))
+    blocks = _in_blocks(corners)
     room = np.empty(len(faces), np.int64)
     found: list[tuple[np.ndarray, float, float]] = []
     for seed in _seeds(corners, normal, centroid, area, grain):
         seed = seed[free[seed]]
         if area[seed].sum() < _SEED * grain.area:
             continue
-        left = left[free[left]]
         n, d = _fit(normal, centroid, area, seed)
         members = seed
         for k in range(_GROW):  # gather, refit, gather again
             before = len(members)
-            members = _near(normal, corners, left, n, d, _MAX_ANGLE_COS, grain.offset, room)
+            members = _near(normal, corners, free, blocks, n, d, _MAX_ANGLE_COS, grain.offset, room)
             if len(members) == 0 or (k > 0 and len(members) <= _GROWN * before):
                 break
             n, d = _fit(normal, centroid, area, members)
@@ -91,7 +100,7 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) 
                 continue
             if is_rough(corners[side] @ n):
                 noise = min(_NOISE * _rms(corners, side, n, d), grain.offset)
-                more = _near(normal, corners, left[free[left]], n, d, _MAX_TURN_COS, noise, room)
+                more = _near(normal, corners, free, blocks, n, d, _MAX_TURN_COS, noise, room)
                 free[more] = False
                 side = np.concatenate([side, more])
             of_face[side] = len(found)
@@ -106,19 +115,36 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) 
     )
 
 
+class _Blocks(NamedTuple):
+    """Faces by their place, `_BLOCK` at a time: from most planes most blocks are far away."""
+
+    face: np.ndarray  # (F,)
+    middle: np.ndarray  # (n, 3) m, of a box about the faces of each block
+    half: np.ndarray  # (n, 3) m, of its sides, and what rounding may take off
+
+
+def _in_blocks(corners: np.ndarray) -> _Blocks:
+    face = in_place_order(corners)
+    low, high = boxes(corners)
+    first = np.arange(0, len(face), _BLOCK)
+    low, high = np.minimum.reduceat(low[face], first), np.maximum.reduceat(high[face], first)
+    return _Blocks(face, 0.5 * (low + high), 0.5 * (high - low) + _ROUNDING)
+
+
 def _near(
     normal: np.ndarray,
     corners: np.ndarray,
     free: np.ndarray,
+    blocks: _Blocks,
     n: np.ndarray,
     d: float,
     cos: float,
     offset: float,
     room: np.ndarray,
 ) -> np.ndarray:
-    """Those of the faces `free` that turn from a plane by less than this cosine's angle, and whose corners stray
-    less than `offset` m from it; found in `room`."""
-    return np.array(room[: _gather(normal, corners, free, n, d, cos, offset, room)])
+    """Those of the `free` (F,) faces, ascending, that turn from a plane by less than this cosine's angle, and whose
+    corners stray less than `offset` m from it; found in `room`."""
+    return np.sort(room[: _gather(normal, corners, free, blocks, n, d, cos, offset, room)])
 
 
 @kernel
@@ -126,6 +152,7 @@ def _gather(
     normal: np.ndarray,
     corners: np.ndarray,
     free: np.ndarray,
+    blocks: _Blocks,
     n: np.ndarray,
     d: float,
     cos: float,
@@ -134,18 +161,24 @@ def _gather(
 ) -> int:
     count = 0
     x, y, z = n[0], n[1], n[2]
-    for f in free:
-        if abs(normal[f, 0] * x + normal[f, 1] * y + normal[f, 2] * z) <= cos:
+    for b in range(len(blocks.middle)):
+        away = blocks.middle[b, 0] * x + blocks.middle[b, 1] * y + blocks.middle[b, 2] * z - d
+        reach = blocks.half[b, 0] * abs(x) + blocks.half[b, 1] * abs(y) + blocks.half[b, 2] * abs(z)
+        if abs(away) > reach + offset:
             continue
-        inside = True
-        for k in range(3):
-            stray = corners[f, k, 0] * x + corners[f, k, 1] * y + corners[f, k, 2] * z - d
-            if not abs(stray) < offset:
-                inside = False
-                break
-        if inside:
-            out[count] = f
-            count += 1
+        for place in range(b * _BLOCK, min((b + 1) * _BLOCK, len(blocks.face))):
+            f = blocks.face[place]
+            if not free[f] or abs(normal[f, 0] * x + normal[f, 1] * y + normal[f, 2] * z) <= cos:
+                continue
+            inside = True
+            for k in range(3):
+                stray = corners[f, k, 0] * x + corners[f, k, 1] * y + corners[f, k, 2] * z - d
+                if not abs(stray) < offset:
+                    inside = False
+                    break
+            if inside:
+                out[count] = f
+                count += 1
     return count
 
 
@@ -185,7 +218,9 @@ def _sides(
 def is_rough(height: np.ndarray) -> bool:
     """Whether most of the triangles of a plane, whose corners are so high (n, 3), are not flat in it: as noise has
     it, but not what is drawn."""
-    return bool(np.median(np.ptp(height, axis=1)) > _FLAT)
+    a, b, c = height.T
+    spread = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
+    return bool(np.median(spread) > _FLAT)
 
 
 def _seeds(

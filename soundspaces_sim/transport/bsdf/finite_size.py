@@ -42,7 +42,7 @@ from scipy.special import fresnel
 
 from soundspaces_sim.core.numerics.bands import log_edges
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.core.numerics.rows import in_order, unique_rows
 from soundspaces_sim.core.numerics.vec3 import (
     Vec3,
     along,
@@ -58,7 +58,7 @@ from soundspaces_sim.core.numerics.vec3 import (
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, surface_point
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import longest_edges, welded
+from soundspaces_sim.scene.triangles import longest_edges, middles, side_numbers, welded_faces
 from soundspaces_sim.transport.arrivals.find_wedges import MIN_ANGLE
 
 _CELL = 0.8  # m: smaller triangles are taken together, cell by cell
@@ -176,7 +176,7 @@ def _pieces(scene: Scene) -> np.ndarray:
     corners = scene.corners - scene.center
     axis = np.abs(scene.normals).argmax(axis=1)
     rows = np.arange(len(axis))
-    lattice = np.floor(corners.mean(axis=1) / _CELL + 0.381966).astype(np.int64)
+    lattice = np.floor(middles(corners) / _CELL + 0.381966).astype(np.int64)
     small = longest_edges(corners) < _CELL**2
     own = np.where(small, -1, rows)
     lattice[~small] = 0
@@ -187,12 +187,11 @@ def _pieces(scene: Scene) -> np.ndarray:
 
 def outlines(scene: Scene) -> np.ndarray:
     """(F, 3) unit vectors in the faces along the outline of the flat surface that each is of, or normal to it."""
-    points, faces = welded(scene.corners - scene.center, 4)
+    points, faces = welded_faces(scene.vertices - scene.center, scene.faces, 4)
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     face = np.repeat(np.arange(len(faces)), 3)
-    side = unique_rows(np.sort(ends, axis=1))[1]
-    count = np.bincount(side)
-    order = np.argsort(side, kind="stable")
+    side = side_numbers(faces).ravel()
+    count, order = np.bincount(side), in_order(side)[1]
     pair = order[(np.cumsum(count) - count)[count == 2][:, None] + [0, 1]]
     one, other = face[pair].T
     flat = np.abs((scene.normals[one] * scene.normals[other]).sum(axis=1)) > _SLOPE
@@ -232,7 +231,7 @@ def _hits(scene: Scene, piece: np.ndarray) -> tuple[np.ndarray, _Hits]:
     index = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
     u = (index[:, None] + 0.5) * np.array(_SHIFTS) + of[:, None] * np.sqrt(2.0) * np.arange(1, 6)
     u -= np.floor(u)
-    order = np.argsort(piece, kind="stable")
+    order = in_order(piece)[1]
     upto = np.cumsum(scene.areas[order])
     before = np.concatenate([[0.0], np.cumsum(area)])
     wanted = before[of] + (index + u[:, 0]) / count[of] * area[of]

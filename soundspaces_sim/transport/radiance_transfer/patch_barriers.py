@@ -6,6 +6,7 @@ on it then have the same air above them. Triangles that meet the piece at its ou
 more than the sides do, leave it free; so does what lies in its plane.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -68,16 +69,24 @@ def _reaches_in(
     for plane in range(2):
         if polygon[0, 0, plane] < 0.0 and polygon[0, 1, plane] < 0.0 and polygon[0, 2, plane] < 0.0:
             return False
-    for k in range(3):
-        x = row(corners, k)
-        inset = _INSET * epsilon + _SLOPE * (polygon[0, k, 0] + least)
-        polygon[0, k, 2] = dot(subtract(x, prism.a), prism.inwards[0]) - inset
-        polygon[0, k, 3] = dot(subtract(x, prism.b), prism.inwards[1]) - inset
-        polygon[0, k, 4] = dot(subtract(x, prism.c), prism.inwards[2]) - inset
     for plane in range(2, 5):
-        if polygon[0, 0, plane] < 0.0 and polygon[0, 1, plane] < 0.0 and polygon[0, 2, plane] < 0.0:
+        corner = prism.a if plane == 2 else (prism.b if plane == 3 else prism.c)
+        most = -math.inf
+        for k in range(3):
+            inset = _INSET * epsilon + _SLOPE * (polygon[0, k, 0] + least)
+            across = dot(subtract(row(corners, k), corner), prism.inwards[plane - 2])
+            polygon[0, k, plane] = across - inset
+            most = max(most, polygon[0, k, plane])
+        if most < 0.0:
             return False
     return clip(polygon, 5)[0] > 0
+
+
+@part(forceinline=True)
+def _apart(corners: np.ndarray, axis: int, low: float, high: float) -> bool:
+    """Whether a triangle (3, 3) is beside a range along an axis."""
+    a, b, c = corners[0, axis], corners[1, axis], corners[2, axis]
+    return bool((a > high and b > high and c > high) or (a < low and b < low and c < low))
 
 
 @kernel
@@ -124,6 +133,12 @@ def _find_barriers(
                     t = (node - leaves) * LEAF + k
                     if tree.triangle[node - leaves, k] < 0:
                         break
+                    if (
+                        _apart(corners[t], 0, low0, high0)
+                        or _apart(corners[t], 1, low1, high1)
+                        or _apart(corners[t], 2, low2, high2)
+                    ):
+                        continue
                     if look0 and _reaches_in(prism, epsilon, 1.0, corners[t], polygon):
                         look0, blocked[i, 0] = False, True
                     if look1 and _reaches_in(prism, epsilon, -1.0, corners[t], polygon):

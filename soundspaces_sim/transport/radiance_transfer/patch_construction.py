@@ -6,9 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.vec3 import add, cross, length, put, row, scale, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.rays.overlaps import covered
-from soundspaces_sim.scene.triangles import areas, cross_products
+from soundspaces_sim.scene.triangles import areas, boxes, cross_products, longest_edges, middles
 from soundspaces_sim.transport.radiance_transfer.patch_barriers import Barriers
 from soundspaces_sim.transport.radiance_transfer.patch_visibility import Pieces, split_by_visibility
 from soundspaces_sim.transport.radiance_transfer.patches import (
@@ -41,7 +43,7 @@ def _split_faces(corners: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarr
     Piece 2 (i n + j) + k of a triangle is the k-th half of the barycentric cell (i, j); cells beyond the
     triangle leave holes in the numbering.
     """
-    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+    edges = np.sqrt(longest_edges(corners))
     n = np.maximum(np.ceil(edges / (0.5 * size)), 1.0)
     n = np.where(n > _MOST_SPLITS, 1, n).astype(np.int64)
     slots = np.where(n > 1, 2 * n**2, 1)
@@ -77,7 +79,7 @@ def _quartered(
     while len(split.number):
         parted = barriers.find(split.corners, geometry.normal[split.face], wanted)
         parted |= wanted & covered(geometry, split.corners, split.face)[:, None]
-        longest = np.linalg.norm(split.corners - split.corners[:, [1, 2, 0]], axis=2).max(axis=1)
+        longest = np.sqrt(longest_edges(split.corners))
         again = parted.any(axis=1) & (longest > _QUARTERED)
         done.append((_Split(*(column[~again] for column in split)), (wanted & ~parted)[~again]))
         a, b, c = split.corners[again].transpose(1, 0, 2)
@@ -95,12 +97,29 @@ def _quartered(
 
 def _inset(corners: np.ndarray, width: float) -> np.ndarray:
     """Triangles (n, 3, 3) with each edge moved inwards by `width` m, or less where little would be left."""
-    edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]  # opposite of each corner
-    twice = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    share = width * np.linalg.norm(edges, axis=2) / twice[:, None]
-    share *= np.minimum(_MOST_CLEAR / share.sum(axis=1), 1.0)[:, None]
-    left = 1.0 - share.sum(axis=1)
-    return np.asarray((share[:, :, None] * corners).sum(axis=1)[:, None] + left[:, None, None] * corners)
+    out = np.empty_like(corners)
+    over_rows(_move_edges, len(corners), np.ascontiguousarray(corners), width, out)
+    return out
+
+
+@kernel
+def _move_edges(first: int, last: int, corners: np.ndarray, width: float, out: np.ndarray) -> None:
+    for i in range(first, last):
+        a, b, c = row(corners[i], 0), row(corners[i], 1), row(corners[i], 2)
+        one, two, three = subtract(c, b), subtract(a, c), subtract(b, a)  # opposite of each corner
+        twice = length(cross(one, two))
+        x, y, z = (
+            width * length(one) / twice,
+            width * length(two) / twice,
+            width * length(three) / twice,
+        )
+        less = min(_MOST_CLEAR / (x + y + z), 1.0)
+        x, y, z = x * less, y * less, z * less
+        left = 1.0 - (x + y + z)
+        middle = add(add(scale(x, a), scale(y, b)), scale(z, c))
+        put(out[i], 0, add(middle, scale(left, a)))
+        put(out[i], 1, add(middle, scale(left, b)))
+        put(out[i], 2, add(middle, scale(left, c)))
 
 
 def _cluster(pieces: Pieces, axis: np.ndarray, size: float) -> np.ndarray:
@@ -130,11 +149,12 @@ def make_patches(geometry: Geometry, corners: np.ndarray, scattered: np.ndarray,
     lattice's cells.
     """
     splits, first, split, table = _split_faces(corners, size)
-    extent = np.linalg.norm(np.ptp(split.corners, axis=1), axis=1)
+    low, high = boxes(split.corners)
+    extent = np.linalg.norm(high - low, axis=1)
     wanted = (scattered[split.face] > 0.0).any(axis=2) & (extent < 2.0 * size)[:, None]
     split, free, table = _quartered(geometry, corners, split, wanted, table)
     inner = _inset(split.corners, OUTLINE * geometry.epsilon)
-    pieces = Pieces(split.face, inner, inner.mean(axis=1), areas(inner))
+    pieces = Pieces(split.face, inner, middles(inner), areas(inner))
 
     direction = cross_products(corners)[pieces.face]
     axis = np.abs(direction).argmax(axis=1)

@@ -10,6 +10,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, negate, row
+from soundspaces_sim.scene.rays.box_tree import in_place_order
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 
 # m above the surface, where pieces must see the same: none that faces of meshes lie at
@@ -33,6 +34,7 @@ class _Sight(NamedTuple):
     own: np.ndarray  # (m,) place of each, among `places`
     places: np.ndarray  # (p,) pieces above whose middles the places are
     free: np.ndarray  # (p,) free levels above them
+    order: np.ndarray  # (m,) rows of `pieces`, those near each other in turn
 
 
 @part
@@ -93,28 +95,29 @@ def _count_seen(
     levels: np.ndarray,
     seen: np.ndarray,
 ) -> None:
-    """Fill rows `first` to `last` of `seen` (m,): how many of four points of a piece subpaths can meet, and see the
-    piece's place.
+    """Fill rows `sight.order[first:last]` of `seen` (m,): how many of four points of a piece subpaths can meet and
+    see the place.
 
     That takes as many free levels above the point as above the place. Those above a point are found once: in
     `levels` (n, 4) they are -1 before, and 0 where subpaths do not meet it. Of `seen`, 0 and 4 are exact: once
     one point is seen and another is not, the rest is not tested. `normal` (n, 3) on the side that is tested.
     """
     low = _HEIGHTS[0]
-    for r in range(first, last):
+    for k in range(first, last):
+        r = sight.order[k]
         i, own = sight.pieces[r], sight.own[r]
         place, free, count = sight.places[own], sight.free[own], 0
         n = row(normal, i)
-        for k in range(4):
-            point = _sample_point(pieces.corners[i], k)
-            if levels[i, k] < 0:
+        for m in range(4):
+            point = _sample_point(pieces.corners[i], m)
+            if levels[i, m] < 0:
                 _, below = cast_ray(geometry, along(point, low, n), negate(n), 2.0 * low)
-                levels[i, k] = _free_levels(geometry, point, n) if below == pieces.face[i] else 0
-            if levels[i, k] == free and _sees(
-                geometry, point, n, row(pieces.center, place), row(normal, place), levels[i, k]
+                levels[i, m] = _free_levels(geometry, point, n) if below == pieces.face[i] else 0
+            if levels[i, m] == free and _sees(
+                geometry, point, n, row(pieces.center, place), row(normal, place), levels[i, m]
             ):
                 count += 1
-            if 0 < count <= k:
+            if 0 < count <= m:
                 break
         seen[r] = count
 
@@ -137,6 +140,7 @@ def split_by_visibility(
     waiting = np.flatnonzero(free)
     normal = sign[:, None] * geometry.normal[pieces.face]
     levels = np.full((len(cluster), 4), -1, np.int8)
+    order = in_place_order(pieces.corners)
     found = 0
     for _ in range(_ROUNDS):
         left = np.bincount(cluster[waiting], pieces.area[waiting])
@@ -155,7 +159,11 @@ def split_by_visibility(
         places = waiting[nearest]
         above, seen = np.empty(len(places), np.int8), np.empty(len(waiting), np.int8)
         over_rows(_fill_free_levels, len(places), geometry, places, pieces.center, normal, above)
-        sight = _Sight(waiting, own, places, above)
+        # Rays that begin near each other find what they meet in a cache.
+        row_of = np.full(len(cluster), -1)
+        row_of[waiting] = np.arange(len(waiting))
+        rows = row_of[order]
+        sight = _Sight(waiting, own, places, above, rows[rows >= 0])
         over_rows(_count_seen, len(waiting), geometry, pieces, normal, sight, levels, seen)
         patch[waiting[seen == 4]] = found + own[seen == 4]
         found += len(total)

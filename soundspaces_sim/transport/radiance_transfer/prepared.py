@@ -10,11 +10,12 @@ import msgspec
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
+from soundspaces_sim.core.io.check_cached import are_starts, like, within
 from soundspaces_sim.core.io.disk_cache import cached_on_disk, fingerprint
 from soundspaces_sim.core.profile import stage
+from soundspaces_sim.scene.scene import scene_key
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
-from soundspaces_sim.transport.check_cached import are_starts, like, scene_key, within
 from soundspaces_sim.transport.element_depths import air_on_sides
 from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches

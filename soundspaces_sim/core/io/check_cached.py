@@ -1,4 +1,4 @@
-"""Whether arrays from the disk cache (`core.io.disk_cache`) may be given to kernels, which check no index: types,
+"""Whether arrays from the disk cache (`disk_cache`) may be given to kernels, which check no index: types,
 shapes, finite numbers, and every index within what it indexes.
 
 Expected arrays are written as ``"f8 P 3"``: type and shape, where letters are sizes, the same wherever they stand.
@@ -10,13 +10,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-
-from soundspaces_sim.scene.scene import Scene
-
-
-def scene_key(scene: Scene) -> tuple[object, ...]:
-    """What decides what is made of a scene."""
-    return scene.digest, scene.corners.shape, scene.materials.absorption.shape
 
 
 def like(record: Any, expected: Mapping[str, str], sizes: dict[str, int]) -> bool:
