@@ -18,6 +18,7 @@ from torch import Tensor
 from soundspaces_sim.core.config import check_rate
 from soundspaces_sim.core.errors import ConfigError, MaterialError
 from soundspaces_sim.core.numerics.axes import CHANNELS, check_degrees, head_matrix
+from soundspaces_sim.core.numerics.threads import share_out
 from soundspaces_sim.dataset import sampling
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.dataset.torch_echograms import KeptEchograms, as_batch
@@ -316,20 +317,25 @@ class Renderer:
     def _seeds(self, rows: np.ndarray) -> np.ndarray:
         return signals.pair_seeds(self.dataset.manifest.config.dataset.seed, rows)
 
-    def _chunks(self, lengths: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    def _chunks(self, lengths: np.ndarray, arrivals: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """(samples, pairs) that are rendered together, of responses' `lengths` (k,) and numbers of `arrivals`
+        (k,): a part costs as many of the latter as its richest pair has."""
         most = self._at_once
         if self.device.type == "cpu":
             most = min(most, -(-len(lengths) // torch.get_num_threads()))
         for n in np.unique(lengths):
             alike = np.flatnonzero(lengths == n)
+            if len(alike) > most:
+                alike = alike[np.argsort(arrivals[alike], kind="stable")]
             for first in range(0, len(alike), most):
                 yield int(n), alike[first : first + most]
 
     def _kept_parts(self, rows: np.ndarray, rate: int) -> Iterator[_Part]:
         kept = self._kept
         assert kept is not None
-        ends = kept.kept.last[rows[:, 0] * len(self.dataset.points) + rows[:, 1]]
-        for n, some in self._chunks(_lengths(ends, kept.time_edges, rate)):
+        at = rows[:, 0] * len(self.dataset.points) + rows[:, 1]
+        lengths = _lengths(kept.kept.last[at], kept.time_edges, rate)
+        for n, some in self._chunks(lengths, kept.kept.arrival_count[at]):
             batch, _ = kept.batch(rows[some])
             yield _Part(
                 some, batch, self._course(kept.time_edges, rate, n), self._seeds(rows[some]), None
@@ -348,7 +354,7 @@ class Renderer:
             echograms = [self._moved(e, head, offset) for e, head in zip(echograms, heads, strict=True)]
         ends = np.array([max([0.0, *(a.delay + 0.01 for a in e.arrivals)]) for e in echograms])
         lengths = _lengths(ends, echograms[0].time_edges, rate)
-        for n, some in self._chunks(lengths):
+        for n, some in self._chunks(lengths, np.array([len(e.early) for e in echograms])):
             chosen = [echograms[k] for k in some]
             batch, _ = as_batch(chosen, self.device)
             course = self._course(chosen[0].time_edges, rate, n)
@@ -435,11 +441,14 @@ class Renderer:
         self, parts: Sequence[_Part], count: int, channels: int, make: Callable[[_Part], Tensor]
     ) -> Tensor:
         """On a processor: as many parts at a time as PyTorch has threads, each in one. Threads that share every
-        small operation wait for each other more than they work."""
+        small operation wait for each other more than they work. This thread is one of them and the others stay, for
+        MKL keeps memory for each thread that it has seen: a loader's worker, which is forked, looked for that of new
+        ones without end."""
         out = torch.empty(count, channels, max(part.course.n for part in parts))
 
-        def one(part: _Part) -> None:
+        def one(k: int) -> None:
             with torch.no_grad():
+                part = parts[k]
                 response, rows = make(part), torch.from_numpy(part.rows)
                 out[rows, :, : response.shape[-1]] = response
                 out[rows, :, response.shape[-1] :] = 0.0
@@ -448,8 +457,7 @@ class Renderer:
             threads = torch.get_num_threads()
             torch.set_num_threads(1)
             try:
-                with ThreadPoolExecutor(threads) as pool:
-                    list(pool.map(one, parts))
+                share_out(one, range(len(parts)), threads)
             finally:
                 torch.set_num_threads(threads)
         return out

@@ -55,20 +55,20 @@ def modulate(
     """
     n = out.shape[1]
     bins = energy.shape[0]
-    mask = len(noise) - 1
     e, gain = scratch.moments, scratch.gains
-    k, known = 0, -1
-    for t in range(n):
+    k, t = 0, 0
+    while t < n:
         low, high = max((t - 0.5) * dt, edges[0]), (t + 0.5) * dt
         while k < bins and edges[k + 1] <= low:
             k += 1
-        if k < bins and high <= edges[k + 1] and low < high:  # within one bin: the next sample is alike
-            if known != k:
-                share = (high - low) / (edges[k + 1] - edges[k])
-                for c in range(9):
-                    e[c] = share * energy[k, c]
-                _set_gains(e, gain)
-                known = k if t > 0 else -1  # of the first sample only a half lies behind the first edge
+        end = t + 1
+        if k < bins and high <= edges[k + 1] and low < high:  # within one bin
+            share = (high - low) / (edges[k + 1] - edges[k])
+            for c in range(9):
+                e[c] = share * energy[k, c]
+            if t > 0:  # of the first sample only a half lies behind the first edge
+                while end < n and (end + 0.5) * dt <= edges[k + 1]:
+                    end += 1
         else:
             e[:] = 0.0
             j = k
@@ -77,20 +77,43 @@ def modulate(
                 for c in range(9):
                     e[c] += share * energy[j, c]
                 j += 1
-            _set_gains(e, gain)
-            known = -1
-        i = start + t
-        w = noise[i & mask]
-        y = noise[(i + lane) & mask]
-        z = noise[(i + 2 * lane) & mask]
-        x = noise[(i + 3 * lane) & mask]
-        shared, first = gain.shared, gain.first
-        out[0, t] = shared[0] * w
-        out[1, t] = shared[1] * w + first[0, 0] * y
-        out[2, t] = shared[2] * w + first[1, 0] * y + first[1, 1] * z
-        out[3, t] = shared[3] * w + first[2, 0] * y + first[2, 1] * z + first[2, 2] * x
+        _set_gains(e, gain)
+        _fill_alike(out, t, end, noise, start, lane, gain)
+        t = end
+
+
+@part
+def _fill_alike(
+    out: np.ndarray, t: int, end: int, noise: np.ndarray, start: int, lane: int, gain: NoiseGains
+) -> None:
+    """Samples `t` to `end` of `modulate`, which have the same gains: channel by channel, in stretches in which no
+    channel passes the end of the table. Unsigned indices let the compiler use vectors."""
+    mask = len(noise) - 1
+    shared, first, second = gain.shared, gain.first, gain.second[0]
+    while t < end:
+        length = end - t
+        for c in range(9):
+            length = min(length, len(noise) - ((start + t + c * lane) & mask))
+        i, to, some = start + t, np.uintp(t), np.uintp(length)
+        w, y = np.uintp(i & mask), np.uintp((i + lane) & mask)
+        z, x = np.uintp((i + 2 * lane) & mask), np.uintp((i + 3 * lane) & mask)
+        g = shared[0]
+        for j in range(some):
+            out[0, to + j] = g * noise[w + j]
+        g, a = shared[1], first[0, 0]
+        for j in range(some):
+            out[1, to + j] = g * noise[w + j] + a * noise[y + j]
+        g, a, b = shared[2], first[1, 0], first[1, 1]
+        for j in range(some):
+            out[2, to + j] = g * noise[w + j] + a * noise[y + j] + b * noise[z + j]
+        g, a, b, d = shared[3], first[2, 0], first[2, 1], first[2, 2]
+        for j in range(some):
+            out[3, to + j] = g * noise[w + j] + a * noise[y + j] + b * noise[z + j] + d * noise[x + j]
         for c in range(4, 9):
-            out[c, t] = shared[c] * w + gain.second[0] * noise[(i + c * lane) & mask]
+            g, own = shared[c], np.uintp((i + c * lane) & mask)
+            for j in range(some):
+                out[c, to + j] = g * noise[w + j] + second * noise[own + j]
+        t += length
 
 
 @part
@@ -219,10 +242,13 @@ def place(out: np.ndarray, responses: np.ndarray, starts: np.ndarray, harmonics:
     n = out.shape[1]
     for a in range(len(starts)):
         first, last = max(0, -starts[a]), min(responses.shape[1], n - starts[a])
+        if first >= last:
+            continue
+        here, there, length = np.uintp(first), np.uintp(starts[a] + first), np.uintp(last - first)
         for c in range(out.shape[0]):
             gain = harmonics[a, c]
-            for i in range(first, last):
-                out[c, starts[a] + i] += gain * responses[a, i]
+            for i in range(length):
+                out[c, there + i] += gain * responses[a, here + i]
 
 
 @kernel
@@ -237,9 +263,18 @@ def cut_frames(
     for row in range(first, last):
         for k in range(frames.shape[1]):
             start = (k - 1) * hop
+            begin, end = max(0, -start), min(length, n - start)
             frames[row, k] = 0.0
-            for i in range(max(0, -start), min(length, n - start)):
-                frames[row, k, ring + i] = window[i] * signal[row, start + i]
+            if begin >= end:
+                continue
+            here, there, from_, some = (
+                np.uintp(begin),
+                np.uintp(ring + begin),
+                np.uintp(start + begin),
+                np.uintp(end - begin),
+            )
+            for i in range(some):
+                frames[row, k, there + i] = window[here + i] * signal[row, from_ + i]
 
 
 @kernel
@@ -251,8 +286,12 @@ def join_frames(first: int, last: int, out: np.ndarray, frames: np.ndarray, hop:
         out[row] = 0.0
         for k in range(frames.shape[1]):
             start = (k - 1) * hop - ring
-            for i in range(max(0, -start), min(length, n - start)):
-                out[row, start + i] += frames[row, k, i]
+            begin, end = max(0, -start), min(length, n - start)
+            if begin >= end:
+                continue
+            here, there, some = np.uintp(begin), np.uintp(start + begin), np.uintp(end - begin)
+            for i in range(some):
+                out[row, there + i] += frames[row, k, here + i]
 
 
 @kernel

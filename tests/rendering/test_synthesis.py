@@ -39,12 +39,13 @@ def _moments(rng: np.random.Generator, arrivals: int) -> np.ndarray:
     return out
 
 
+@pytest.mark.parametrize("start", [17, 950, 5000])
 @pytest.mark.parametrize("arrivals", [1, 2, 40])
-def test_modulated_noise_has_the_energy_and_covariance_of_each_bin(arrivals: int) -> None:
-    """Sample by sample. The first sample is half as long as others, and lies in a bin as the next ones do: all of that
-    bin had half of their energy."""
+def test_modulated_noise_has_the_energy_and_covariance_of_each_bin(arrivals: int, start: int) -> None:
+    """Sample by sample, also where channels pass the end of the table of noise within a bin. The first sample is half
+    as long as others, and lies in a bin as the next ones do: all of that bin had half of their energy."""
     energy = _moments(np.random.default_rng(1), arrivals)
-    start, lane, out = 17, 101, np.empty((9, SAMPLES), np.float32)
+    lane, out = 101, np.empty((9, SAMPLES), np.float32)
     modulate(out, energy.astype(np.float32), EDGES, DT, NOISE, start, lane, make_scratch())
 
     for t, s in enumerate(_per_sample(energy)):

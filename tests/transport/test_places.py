@@ -68,9 +68,11 @@ def test_a_source_on_walls_is_as_loud_as_one_beside_them(place: list[float]) -> 
 @pytest.mark.parametrize("gap", [False, True])
 @pytest.mark.parametrize("size", [(0.4, 1.0, 2.0), (0.1, 1.0, 2.0), (0.5, 0.5, 0.5)])
 def test_points_in_bodies_are_refused_by_name(size: tuple[float, float, float], gap: bool) -> None:
-    """Also where a triangle of the body is missing. Beside it, 1 mm off and on it, all is well."""
+    """Also where a triangle of the body is missing, and the shortest way out goes by the one beside it: not by the
+    edge of both, where rounding, and so who casts the rays, decides. Beside the body, 1 mm off and on it, all is
+    well."""
     scene = _with_body(size, (3.0, 1.0, 0.2), gap)
-    inside = np.array([3.0, 1.0, 0.2]) + 0.4 * np.array(size)
+    inside = np.array([3.0, 1.0, 0.2]) + np.array([0.4, 0.5, 0.3]) * size
     with pytest.raises(
         PointError, match=r"listeners: point 1 at \(3\.\d+, .* is inside a body .* holds no air"
     ):
