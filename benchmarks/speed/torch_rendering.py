@@ -5,10 +5,9 @@ Question: How many responses per second does a device make, beside the reader an
 Method: Random pairs of the demo apartment (100 subpaths, echograms kept on the device), in batches of 256, 1 s at
 16 kHz. Ways of rendering take turns, and each has the best of its rounds by the clock, after one that is not
 counted, for other work on the machine only ever takes time; every answer is on the device when the clock stops. The
-reader in as many threads as the process has cores. Shoeboxes of pyroomacoustics (image sources to order 10), of
-torchrir (the same) and of FRA-RIR (a random approximation, from a checkout on the path), where they are installed,
-with one microphone. `python -m benchmarks run speed.torch_rendering -- cuda` takes a GPU; with `cpu` (the default)
-it is what the processor does.
+reader in as many threads as the process has cores. Shoeboxes of pyroomacoustics (image sources to order 10) and of
+torchrir (the same), where they are installed, with one microphone. With `cpu` (the default) it is what the processor
+does; `python -m benchmarks run speed.torch_rendering -- cuda` takes a GPU.
 
 Amortised: Opening the dataset, copying it to the device, designing filters.
 
@@ -32,7 +31,7 @@ from soundspaces_sim.core.numerics.kernel import core_count
 
 _BATCH = 256
 _SIZE, _SOURCE, _MICROPHONE = [6.0, 5.0, 2.7], [1.5, 1.2, 1.4], [4.1, 3.3, 1.6]
-_ORDER, _RATE, _SHOEBOXES, _T60 = 10, 16000, 20, 0.6
+_ORDER, _RATE, _SHOEBOXES = 10, 16000, 20
 
 
 def build(out: Path) -> Path:
@@ -121,12 +120,6 @@ def _shoeboxes(device: str) -> list[tuple[object, ...]]:
         config = SimulationConfig(max_order=_ORDER, nsample=_RATE, device=device)
         made = _repeated(lambda: simulate(scene, config))
         rows.append((f"torchrir on {device}, shoebox, order 10, one microphone", made, None))
-    if find_spec("FRAM_RIR"):
-        from FRAM_RIR import FRAM_RIR
-
-        ends = np.array([_MICROPHONE]), np.array([_SOURCE])
-        made = _repeated(lambda: FRAM_RIR(ends[0], _RATE, _T60, np.array(_SIZE), ends[1]))
-        rows.append((f"FRA-RIR, T60 of {_T60} s, one microphone", made, None))
     return rows
 
 
@@ -160,6 +153,6 @@ def run(device: str = "cpu", rounds: str = "5", pairs: str = "") -> list[Table]:
             "The last of our rows is beside the reader's binaural one, which convolves nothing. Of other programs "
             "the time of one room after the other: image sources alone, one channel. gpuRIR needs CUDA to be "
             "compiled; its authors state some 100 times the speed of libraries on a processor "
-            "(doi:10.1007/s11042-020-09905-3).",
+            "(doi:10.1007/s11042-020-09905-3). FRA-RIR is no package, and its code is not for commercial use.",
         )
     ]
