@@ -6,8 +6,8 @@ Method: Random pairs of the demo apartment (100 subpaths, echograms kept on the 
 16 kHz. Ways of rendering take turns, and each has the best of its rounds by the clock, after one that is not
 counted, for other work on the machine only ever takes time; every answer is on the device when the clock stops. The
 reader in as many threads as the process has cores. Shoeboxes of pyroomacoustics (image sources to order 10) and of
-torchrir (the same), where they are installed, with one microphone. With `cpu` (the default) it is what the processor
-does; `python -m benchmarks run speed.torch_rendering -- cuda` takes a GPU.
+torchrir (the same), where they are installed, with one microphone. With `cpu` (the default) the processor is timed;
+`python -m benchmarks run speed.torch_rendering -- cuda` takes a GPU.
 
 Amortised: Opening the dataset, copying it to the device, designing filters.
 

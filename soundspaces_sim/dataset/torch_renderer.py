@@ -442,8 +442,8 @@ class Renderer:
     ) -> Tensor:
         """On a processor: as many parts at a time as PyTorch has threads, each in one. Threads that share every
         small operation wait for each other more than they work. This thread is one of them, and does it all where
-        PyTorch has one, as in a loader's worker: MKL keeps memory for each thread that it has seen, and in a process
-        that was forked it looked for that of a new one without end."""
+        PyTorch has one, as in a loader's worker: MKL keeps memory for each thread that it has seen, and in a forked
+        process it looked for that of a new one without end."""
         out = torch.empty(count, channels, max(part.course.n for part in parts))
 
         def one(k: int) -> None:
