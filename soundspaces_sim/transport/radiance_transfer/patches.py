@@ -20,7 +20,7 @@ from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, add, dot, length, row, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry
 
-PATCH_SIZE = 0.8  # m, edge of the lattice
+PATCH_SIZE = 0.8  # m, least edge of the lattice
 CELL_SIZE = 1.6  # m, edge of that whose cells hold patches of neighbouring numbers, and groups of them
 OUTLINE = 0.1  # of the offset of rays: the width of a piece's outline
 

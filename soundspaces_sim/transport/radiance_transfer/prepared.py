@@ -21,7 +21,8 @@ from soundspaces_sim.transport.model import Model, PreparedScene
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import Decay
 from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
-from soundspaces_sim.transport.radiance_transfer.patches import PATCH_SIZE, Patches
+from soundspaces_sim.transport.radiance_transfer.patch_size import patch_size
+from soundspaces_sim.transport.radiance_transfer.patches import Patches
 from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
     own_continuations,
     pilot_decay,
@@ -161,7 +162,7 @@ def _patches(prepared: PreparedScene) -> Patches:
     return cached_on_disk(
         Patches,
         (scene_key(scene), fingerprint(scattered)),
-        lambda: make_patches(geometry, corners, scattered, PATCH_SIZE),
+        lambda: make_patches(geometry, corners, scattered, patch_size(geometry, corners, scene.areas)),
         lambda found: patches_fit(found, len(scattered), scattered.shape[2]),
     )
 
