@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec import structs
+from soundspaces_explorer import live
 from soundspaces_explorer.absorption import chosen_table, materials_file, with_absorption
 from soundspaces_explorer.job import JobMaker
 from soundspaces_explorer.live import Answer, LiveScene, NotYetError, Question, Step
@@ -191,6 +192,54 @@ def test_while_kernels_are_compiled_the_page_is_told(
     compiling.go.set()
     assert waiting.ask(Question(A, B), wait_s=60.0).kind == "estimate"
     waiting.close()
+
+
+def test_a_place_is_heard_while_later_estimates_are_prepared(
+    live_scene: LiveScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Patches of radiance transfer take seconds in a scan."""
+    go, waited_in_vain, prepare = threading.Event(), [], live.prepare_scene
+
+    def slowly(scene: ss.Scene, config: ss.SimulationConfig) -> Any:
+        if config.radiance_transfer.enabled and not go.wait(60.0):
+            waited_in_vain.append(config)
+        return prepare(scene, config)
+
+    monkeypatch.setattr(live, "prepare_scene", slowly)
+    walked = LiveScene(live_scene.scene, live_scene.config)
+    assert walked.ask(Question(A, B), wait_s=120.0).kind == "estimate"
+    answer = walked.ask(Question(A, C))
+    go.set()
+    assert answer.kind == "moved" and not waited_in_vain
+    walked.close()
+
+
+def test_a_storey_from_above() -> None:
+    """A room of 6 m by 5 m with a table of 1 m by 2 m, .75 m high, in it."""
+    walls = dict.fromkeys(("west", "east", "south", "north", "ceiling"), "gypsum-board")
+    room = ss.shoebox((6.0, 5.0, 3.0), {**walls, "floor": "carpet"})
+    corners = [[x, y, 0.75] for x in (2.0, 3.0) for y in (1.0, 3.0)]
+    faces = len(room.vertices) + np.array([[0, 1, 2], [2, 1, 3]])
+    wood = room.materials.index("wood-thick")
+    scene = ss.Scene(
+        np.concatenate([room.vertices, corners]),
+        np.concatenate([room.faces, faces]),
+        np.concatenate([room.face_material, [wood, wood]]),
+        room.materials,
+    )
+    seen = LiveScene(scene)
+    cell, material, height = seen.from_above(0)
+    seen.close()
+    assert material.shape == (round(5.0 / cell), round(6.0 / cell))
+    table, floor = material == wood, material == room.materials.index("carpet")
+    assert (table | floor).all()
+    y, x = np.nonzero(table)
+    assert table.sum() * cell**2 == pytest.approx(2.0, rel=0.05)
+    assert (x.min() * cell, y.min() * cell) == pytest.approx((2.0, 1.0), abs=2 * cell)
+    np.testing.assert_allclose(height[table], 0.75, atol=1e-5)
+    np.testing.assert_allclose(height[floor], 0.0, atol=1e-5)
+    with pytest.raises(ss.PointError, match="storey 1"):
+        seen.from_above(1)
 
 
 def test_what_cannot_be_asked(live_scene: LiveScene) -> None:

@@ -24,6 +24,16 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on the path")
 READY = "document.body.dataset.ready !== undefined"
+#: Tables of which a part is hidden.
+CUT_OFF = (
+    "[...document.querySelectorAll('.wide')].filter((box) => box.scrollWidth > box.clientWidth)"
+    ".map((box) => [box.firstChild.id, box.scrollWidth, box.clientWidth])"
+)
+#: What can be touched and is less than 24 px high or wide (WCAG 2.2, 2.5.8).
+SMALL = (
+    "[...document.querySelectorAll('button, select, input, summary')].map((box) => [box.id || box.ariaLabel, box.getBoundingClientRect()])"
+    ".filter(([, { width, height }]) => width > 0 && Math.min(width, height) < 24).map(([name]) => name)"
+)
 
 
 @pytest.fixture(scope="module")
@@ -276,7 +286,9 @@ def test_a_live_scene_on_a_phone(browser: Any, live_server: ExplorerServer) -> N
     page = context.new_page()
     page.goto(live_server.url)
     page.wait_for_function(READY)
+    page.wait_for_function(DONE)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert page.evaluate(CUT_OFF) == [] and page.evaluate(SMALL) == []
     page.check("#place-source")
     page.touchscreen.tap(*page.evaluate(f"({ON_PLAN})([1.5, 4.0])"))
     page.wait_for_function("Math.hypot(state.source[0] - 1.5, state.source[1] - 4.0) < 0.1")
@@ -298,6 +310,39 @@ def test_a_live_scene_names_its_units(page: Any, live_server: ExplorerServer) ->
         assert text in written, text
     assert any(w.endswith(" m") and w[:-2].replace(".", "").isdecimal() for w in written)
     assert not any(w in ("-0", "−0", "NaN", "-Infinity") for w in written)
+
+
+def test_a_live_scene_shows_what_stands_in_it(page: Any, live_server: ExplorerServer) -> None:
+    """The floor in the pale colour of its material, what was guessed in words, and no table cut off."""
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    page.wait_for_function("state.floors[0] !== undefined")
+    assert page.evaluate("state.floors[0].size") == pytest.approx([6.0, 5.0], abs=0.05)
+    shown = page.evaluate(
+        "(() => { const floor = state.floors[0].picture, k = state.scene.materials.find((m) => m.name === 'carpet').row;"
+        " const pen = document.createElement('canvas').getContext('2d'); pen.fillStyle = colourOf(k);"
+        " return [[...floor.getContext('2d').getImageData(floor.width / 2, floor.height / 2, 1, 1).data], pen.fillStyle]; })()"
+    )
+    strong = [int(shown[1][k : k + 2], 16) for k in (1, 3, 5)]
+    np.testing.assert_allclose(shown[0], [*(255 - 0.16 * (255 - np.array(strong))), 255], atol=1.0)
+    page.wait_for_function(DONE)
+    assert page.evaluate(CUT_OFF) == []
+    page.click("summary")
+    assert "carpet: 30 m²" in page.inner_text("#notes")
+    assert page.inner_text("#volume-text") == "0 dB"
+
+
+def test_numbers_have_the_digits_that_their_errors_allow(page: Any, live_server: ExplorerServer) -> None:
+    page.goto(live_server.url)
+    page.wait_for_function(READY)
+    for value, error, text in (
+        (0.7123, 0.02, "0.71 ± 0.04"),
+        (0.7123, 0.001, "0.712 ± 0.002"),
+        (-0.7123, 0.4, "−0.7 ± 0.8"),
+        (0.7123, None, "0.712 ± ?"),
+        (None, None, "–"),
+    ):
+        assert page.evaluate("(given) => withError(given, 3)", [value, error]) == text
 
 
 def test_a_dataset_is_written_on_demand(page: Any, live_server: ExplorerServer) -> None:

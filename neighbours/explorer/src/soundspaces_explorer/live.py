@@ -70,6 +70,9 @@ _KEPT = 8  # estimates: A, B, and places that one comes back to
 _SPACING = 0.5  # m, of the points that tell where one can stand
 _GROUPS = 12  # materials whose reflections are counted: the most there can be
 _LOOKED_AT = 24  # places of a source to begin with
+_ACROSS = 300  # cells of a storey seen from above, along its longer side
+_LEAST_CELL = 0.02  # m
+_TOUCHING = 1e-3  # m
 _LEAST = 1e-3  # share that a surface reflects at least
 _MEASURES = ("t30", "c50", "sti")
 
@@ -202,9 +205,37 @@ class LiveScene:
         middle = points[np.linalg.norm(points - points.mean(axis=0), axis=1).argmin()]
         away = np.linalg.norm(points - middle, axis=1)
         order = np.argsort(np.abs(away - 3.0), kind="stable")[:_LOOKED_AT]
-        seen = np.empty(len(order), np.bool_)
-        _see(self.scene.geometry, points[order] - self.scene.center, middle - self.scene.center, seen)
-        return points[order[int(np.argmax(seen))]], middle, storey
+        way = middle - points[order]
+        length = np.maximum(np.linalg.norm(way, axis=1), _TOUCHING)
+        triangle, _ = self._look(points[order], way / length[:, None], length)
+        return points[order[int(np.argmax(triangle < 0))]], middle, storey
+
+    def from_above(self, storey: int) -> tuple[float, np.ndarray, np.ndarray]:
+        """A storey as one sees it when one looks down from the height of the points: side of a square cell, m; rows
+        of materials in cells (Y, X) from the lowest corner of the scene on; their height above the storey's floor,
+        m. Where nothing is met they are -1 and NaN. Raises `PointError`."""
+        if not 0 <= storey < len(self.grid.floors):
+            raise PointError(f"storey {storey}: there is none; the scene has {len(self.grid.floors)}")
+        low, high = self.scene.bounds
+        top = float(self.grid.floors[storey]) + self.grid.height
+        cell = max(float((high - low)[:2].max()) / _ACROSS, _LEAST_CELL)
+        x, y = (low[k] + cell * (0.5 + np.arange(math.ceil((high - low)[k] / cell))) for k in (0, 1))
+        at = np.stack(np.broadcast_arrays(x, y[:, None], top), axis=-1).reshape(-1, 3)
+        reach = np.full(len(at), max(top - float(low[2]), 0.0) + _TOUCHING)
+        triangle, distance = self._look(at, np.tile([0.0, 0.0, -1.0], (len(at), 1)), reach)
+        material = np.where(triangle < 0, -1, self.scene.face_material[triangle])
+        height = np.where(triangle < 0, np.nan, self.grid.height - distance)
+        return cell, material.reshape(len(y), len(x)), height.reshape(len(y), len(x))
+
+    def _look(
+        self, points: np.ndarray, ways: np.ndarray, reach: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) the triangle that is met first from each point along a unit vector within so many m, or -1, and how
+        far away it is."""
+        triangle, distance = np.empty(len(points), np.int64), np.empty(len(points))
+        from_center = points - self.scene.center
+        _look_along(self.scene.geometry, from_center, ways, reach, triangle, distance)
+        return triangle, distance
 
     # ---- questions ----
 
@@ -353,7 +384,8 @@ class LiveScene:
     def _simulate(self, question: Question, step: int) -> Echograms:
         a, b = np.array([question.source]), np.array([question.listener])
         with self._making:
-            model = self._world(question.chosen).model(step, np.concatenate([a, b]))
+            world = self._world(question.chosen)
+        model = world.model(step, np.concatenate([a, b]))
         return simulate_pairs(model, a, b, both_ways=False)[0]
 
     def _world(self, chosen: Chosen) -> _World:
@@ -370,16 +402,22 @@ class LiveScene:
 
 
 class _World:
-    """A scene under the config, prepared for every step when it is first asked for."""
+    """A scene under the config, prepared for every step when it is first asked for. That takes seconds in a scan;
+    paths between other places can be solved meanwhile."""
 
     def __init__(self, scene: Scene, config: SimulationConfig, seed: int) -> None:
         self.scene, self._config, self._seed = scene, config, seed
         self._models: dict[int, Any] = {}
+        self._preparing = threading.Lock()
         self._duration: float | None = config.duration
         self.paths = SimulatedPaths(scene, config, seed)
 
     def model(self, step: int, points: np.ndarray) -> Any:
         """For an estimate; its echograms last as long as sound does at the first `points` that were asked for."""
+        with self._preparing:
+            return self._model(step, points)
+
+    def _model(self, step: int, points: np.ndarray) -> Any:
         if step not in self._models:
             walks, transfer = STEPS[step]
             config = structs.replace(
@@ -398,16 +436,19 @@ class _World:
 
 
 @kernel
-def _see(geometry: Geometry, points: np.ndarray, place: np.ndarray, seen: np.ndarray) -> None:
-    """Whether nothing lies between points (n, 3) and a place (3,), about the scene's centre."""
+def _look_along(
+    geometry: Geometry,
+    points: np.ndarray,
+    ways: np.ndarray,
+    reach: np.ndarray,
+    triangle: np.ndarray,
+    distance: np.ndarray,
+) -> None:
+    """What is met first from each of the points (n, 3), about the scene's centre, along a unit vector."""
     for k in range(len(points)):
-        x, y, z = place[0] - points[k, 0], place[1] - points[k, 1], place[2] - points[k, 2]
-        r = math.sqrt(x * x + y * y + z * z)
-        seen[k] = r <= _LEAST
-        if r > _LEAST:
-            origin = points[k, 0], points[k, 1], points[k, 2]
-            _, triangle = cast_ray(geometry, origin, (x / r, y / r, z / r), r)
-            seen[k] = triangle < 0
+        origin = points[k, 0], points[k, 1], points[k, 2]
+        way = ways[k, 0], ways[k, 1], ways[k, 2]
+        distance[k], triangle[k] = cast_ray(geometry, origin, way, reach[k])
 
 
 def _refurnished(echogram: Echogram, other: Mapping[str, np.ndarray]) -> Echogram:

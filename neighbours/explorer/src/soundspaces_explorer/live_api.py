@@ -29,6 +29,9 @@ class LiveSession:
             "cut": lambda query: json_answer(
                 live_payloads.cut_of(scene, number_in(query, "y", 1e6, "metres"))
             ),
+            "floor": lambda query: floats_answer(
+                live_payloads.floor_of(scene, int(number_in(query, "storey", 1e3, "a storey")))
+            ),
             "pair": self._pair,
             "response": self._response,
             "sounds": lambda _: json_answer({"sounds": list(payloads.SOUNDS)}),

@@ -64,6 +64,14 @@ def scene_of(live: LiveScene, rate: int) -> dict[str, Any]:
     }
 
 
+def floor_of(live: LiveScene, storey: int) -> np.ndarray:
+    """(3 + 2 Y X,) what one sees from above: side of a cell, X and Y, then rows of materials and heights above the
+    floor, m."""
+    cell, material, height = live.from_above(storey)
+    head = [cell, material.shape[1], material.shape[0]]
+    return np.concatenate([head, material.ravel(), height.ravel()])
+
+
 def cut_of(live: LiveScene, y: float) -> dict[str, Any]:
     """Lines (x, z) by material in the upright plane at y, m."""
     return {"y": round(y, 3), "lines": _lines(live, y, (0, 2, 1))}

@@ -67,6 +67,12 @@ function canvas(id) {
   return [pen, element.clientWidth, element.clientHeight];
 }
 
+// As high as a rectangle needs at this width, and no higher than the style allows (`--most`).
+function shaped(id, low, high, right = RIGHT) {
+  const element = $(id), needed = TOP + BOTTOM + (element.clientWidth - LEFT - right) * (high[1] - low[1]) / Math.max(high[0] - low[0], 1e-3);
+  element.style.height = `min(var(--most), ${Math.round(Math.max(needed, 160))}px)`;
+}
+
 const minus = (text) => `${text}`.replace("-", "−");
 
 // The least of 1, 2, 5, 10, … that is at least so much.
@@ -128,6 +134,7 @@ function head(pen, x, y, heading) {
   pen.restore();
 }
 
+const bandText = (low, high) => high < 1000 ? `${Math.round(low)}–${Math.round(high)} Hz` : `${low < 1000 ? +(low / 1000).toFixed(2) : +(low / 1000).toFixed(1)}–${+(high / 1000).toFixed(1)} kHz`;
 const number = (v, digits) => v === null ? "–" : minus((+v.toFixed(digits) + 0).toFixed(digits));
 
 // Metres to pixels and back for a rectangle of the plan, with room for axes and scale bar.

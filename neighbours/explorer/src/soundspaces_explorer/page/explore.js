@@ -145,15 +145,17 @@ window.explorerRender = async (samples, s, l, heading) => {
 
 // ---- the plan --------------------------------------------------------------------------------------------------------
 
-function view(width, height) {
+function extent() {
   const all = [...state.data.walls[state.storey] || [], ...state.data.points.map((p) => [p[0], p[1], p[0], p[1]])];
   let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
   for (const w of all) {
     x0 = Math.min(x0, w[0], w[2]); x1 = Math.max(x1, w[0], w[2]);
     y0 = Math.min(y0, w[1], w[3]); y1 = Math.max(y1, w[1], w[3]);
   }
-  return fitted([x0, y0], [x1, y1], width, height);
+  return [[x0, y0], [x1, y1]];
 }
+
+const view = (width, height) => fitted(...extent(), width, height);
 
 function drawColours(pen, low, high, { at, ...box }) {
   const [right, top] = at(box.high), [, bottom] = at(box.low), x = right + 14, tall = bottom - top;
@@ -173,6 +175,7 @@ function colour(share) {
 const here = (i) => state.data.storey[i] === state.storey;
 
 function drawPlan() {
+  if (state.data) shaped("plan", ...extent());
   const [pen, width, height] = canvas("plan");
   pen.clearRect(0, 0, width, height);
   if (!state.data) return;
@@ -243,7 +246,7 @@ function mirrorPoint(s, image, l) {
 
 // ---- decay curves and numbers ----------------------------------------------------------------------------------------
 
-const bandName = (b) => `${Math.round(state.data.bands[b])}–${Math.round(state.data.bands[b + 1])} Hz`;
+const bandName = (b) => bandText(state.data.bands[b], state.data.bands[b + 1]);
 
 function drawDecay() {
   const [pen, width, height] = canvas("decay");

@@ -4,9 +4,10 @@
 
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#7b3294", "#1b7837", "#b2182b", "#4d4d4d", "#e69f00", "#2166ac"];
 const STEP_M = 0.25, TURN = 5, SOON_MS = 120; // of an arrow key; of a key that turns, degrees; between questions while something moves
+const STEP_UP = 0.05; // m by which heights of neighbouring cells differ at an edge
 const NEAR = 18; // px about a mark that can be dragged
 const KINDS = { estimate: "", moved: "walking: reverberation of the place before", counts: "read from counts of reflections" };
-const state = { scene: null, source: null, listener: null, heading: 90, storey: 0, chosen: {}, answer: null, cut: null, slot: "a", slots: {} };
+const state = { scene: null, source: null, listener: null, heading: 90, storey: 0, chosen: {}, answer: null, cut: null, slot: "a", slots: {}, floors: {} };
 let asking = null, timer = 0, heard = 0;
 
 // ---- questions -------------------------------------------------------------------------------------------------------
@@ -64,6 +65,35 @@ async function askCut() {
   const y = state.listener[1];
   const found = await json(`api/cut?y=${y.toFixed(3)}`);
   if (Math.abs(state.listener[1] - y) < 1e-6) { state.cut = found; drawCut(); }
+}
+
+// What one sees of the storey from above, as a picture: materials pale, and edges where the height jumps.
+async function askFloor() {
+  const { storey } = state;
+  if (state.floors[storey]) { drawPlan(); return; }
+  const all = new Float32Array(await (await get(`api/floor?storey=${storey}`)).arrayBuffer());
+  const [cell, across, deep] = all, n = across * deep, material = all.subarray(3, 3 + n), height = all.subarray(3 + n);
+  const picture = Object.assign(document.createElement("canvas"), { width: across, height: deep }), pen = picture.getContext("2d");
+  const dots = pen.createImageData(across, deep), pale = new Map();
+  const edge = (k, other) => material[k] !== material[other] || Math.abs(height[k] - height[other]) > STEP_UP;
+  for (let k = 0; k < n; k++) {
+    if (material[k] < 0) continue;
+    if (!pale.has(material[k])) { pen.fillStyle = colourOf(material[k]); pale.set(material[k], [1, 3, 5].map((c) => parseInt(pen.fillStyle.slice(c, c + 2), 16))); }
+    const strong = (k % across && edge(k, k - 1)) || (k >= across && edge(k, k - across)) ? 0.55 : 0.16;
+    const at = 4 * ((deep - 1 - Math.floor(k / across)) * across + k % across); // pictures begin at the top
+    pale.get(material[k]).forEach((c, i) => { dots.data[at + i] = 255 - strong * (255 - c); });
+    dots.data[at + 3] = 255;
+  }
+  pen.putImageData(dots, 0, 0);
+  state.floors[storey] = { picture, size: [cell * across, cell * deep] };
+  drawPlan();
+}
+
+function drawFloor(pen, { scale, low, at }) {
+  const floor = state.floors[state.storey];
+  if (!floor) return;
+  const [width, deep] = floor.size.map((m) => m * scale), [x, y] = at(low);
+  pen.drawImage(floor.picture, x, y - deep, width, deep);
 }
 
 // ---- sound: input -> the convolver of the answer, cross-faded with the one before -> volume -> meter, ears -----------
@@ -173,12 +203,14 @@ function drawLines(pen, lines, at) {
 }
 
 function drawPlan() {
+  if (state.scene) shaped("plan", state.scene.low, state.scene.high, 20);
   const [pen, width, height] = canvas("plan");
   pen.clearRect(0, 0, width, height);
   if (!state.scene) return;
   const seen = planView(width, height), { at } = seen;
+  drawFloor(pen, seen);
   drawAxes(pen, seen);
-  pen.fillStyle = "#dde3e8";
+  pen.fillStyle = "#aab4bc";
   for (const p of state.scene.points[state.storey]) { const [x, y] = at(p); pen.fillRect(x - 1, y - 1, 2, 2); }
   drawLines(pen, state.scene.plans[state.storey], at);
   if (state.listener[2] === state.storey) {
@@ -190,6 +222,7 @@ function drawPlan() {
 }
 
 function drawCut() {
+  if (state.scene) shaped("cut", [state.scene.low[0], state.scene.low[2]], [state.scene.high[0], state.scene.high[2]], 20);
   const [pen, width, height] = canvas("cut");
   pen.clearRect(0, 0, width, height);
   if (!state.cut) return;
@@ -197,14 +230,21 @@ function drawCut() {
   drawAxes(pen, seen, ["x (m)", "z (m)"]);
   drawLines(pen, state.cut.lines, seen.at);
   head(pen, ...seen.at([state.listener[0], heights[state.listener[2]]]), Math.cos(state.heading * Math.PI / 180) < 0 ? 180 : 0);
+  pen.globalAlpha = Math.abs(state.source[1] - state.cut.y) < STEP_M ? 1 : 0.35; // it stands before the section, or behind
   star(pen, ...seen.at([state.source[0], heights[state.source[2]]]));
+  pen.globalAlpha = 1;
   label(pen, `Section at y = ${minus(state.cut.y.toFixed(2))} m`, width - 20, 12, "right");
 }
 
 // ---- numbers ---------------------------------------------------------------------------------------------------------
 
-const bandName = (b) => `${Math.round(state.scene.bands[b])}–${Math.round(state.scene.bands[b + 1])} Hz`;
-const withError = ([value, error], digits) => value === null ? "–" : `${number(value, digits)} ± ${error === null ? "?" : number(2 * error, digits)}`;
+const bandName = (b) => bandText(state.scene.bands[b], state.scene.bands[b + 1]);
+// With no more digits than its error leaves meaning to.
+function withError([value, error], most) {
+  if (value === null) return "–";
+  const digits = error ? Math.max(Math.min(Math.ceil(-Math.log10(2 * error)), most), 0) : most;
+  return `${number(value, digits)} ± ${error === null ? "?" : number(2 * error, digits)}`;
+}
 
 function drawMeasures() {
   const [pen, width, height] = canvas("bars");
@@ -250,14 +290,15 @@ function tell() {
   const table = $("numbers"), { t30, c50 } = p.measures;
   const rows = p.decay.map((_, b) => [`${b + 1}: ${bandName(b)}`, withError(t30[b], 3), withError(c50[b], 2), percent(p.error[0][b]), percent(p.error[1][b])]);
   table.replaceChildren();
-  table.createCaption().textContent = "± two standard errors; “?”: not known yet";
-  for (const cells of [["Band", "T30 (s)", "C50 (dB)", "To 80 ms", "Later"], ...rows]) {
+  table.createCaption().textContent = "± two standard errors. “?”, and an open circle: error not known yet. “–”: not known.";
+  for (const cells of [["Band", "T30 (s)", "C50 (dB)", "± of energy to 80 ms", "± of later energy"], ...rows]) {
     const tr = table.insertRow();
+    if (cells[0] === "Band") tr.className = "names";
     cells.forEach((text, k) => tr.append(Object.assign(document.createElement(k && cells[0] !== "Band" ? "td" : "th"), { textContent: text })));
   }
 }
 
-const percent = (e) => e === null ? "± ?" : `± ${(200 * e).toFixed(1)} %`;
+const percent = (e) => e === null ? "?" : `${(200 * e).toFixed(1)} %`;
 
 function draw() { drawPlan(); drawMeasures(); tell(); }
 
@@ -280,7 +321,7 @@ function drawMaterials() {
     const shown = Object.assign(document.createElement("output"), { textContent: (+slider.value).toFixed(2) });
     const other = document.createElement("select");
     other.setAttribute("aria-label", `${m.name} absorbs like`);
-    other.append(new Option("as guessed", ""), new Option("slider", "slider"), ...names.filter((n) => n !== m.name).map((n) => new Option(n)));
+    other.append(new Option("its own", ""), new Option("slider", "slider"), ...names.filter((n) => n !== m.name).map((n) => new Option(n)));
     other.value = chosen ? chosen.like : "";
     other.disabled = m.fixed;
     slider.addEventListener("input", () => {
@@ -335,6 +376,12 @@ async function makeJob() {
 
 function turned() { $("heading").value = state.heading; $("heading-text").textContent = `${minus(state.heading)}°`; drawPlan(); drawCut(); }
 const turn = (to) => { state.heading = (((to + 180) % 360) + 360) % 360 - 180; turned(); listen().catch(complain); };
+const decibels = (gain) => gain > 0 ? `${minus((20 * Math.log10(gain)).toFixed(0))} dB` : "off";
+function setVolume() {
+  const gain = Number($("volume").value);
+  $("volume-text").textContent = decibels(gain);
+  if (audio.volume) audio.volume.gain.value = gain;
+}
 function moved(soon = false) { changed(soon); askCut().catch(complain); }
 function walk(end, dx, dy) { const p = state[end]; state[end] = [p[0] + dx, p[1] + dy, p[2]]; moved(true); }
 
@@ -373,11 +420,11 @@ function wire() {
     event.preventDefault();
   });
   $("heading").addEventListener("input", () => turn(Number($("heading").value)));
-  $("storey").addEventListener("change", () => { state.storey = Number($("storey").value); drawPlan(); });
+  $("storey").addEventListener("change", () => { state.storey = Number($("storey").value); drawPlan(); askFloor().catch(complain); });
   $("play").addEventListener("click", toggle);
   $("sound").addEventListener("change", guarded(async () => { if (audio.playing) await play(); }));
   $("file").addEventListener("change", () => takeFile($("file").files[0]));
-  $("volume").addEventListener("input", () => { if (audio.volume) audio.volume.gain.value = Number($("volume").value); });
+  $("volume").addEventListener("input", setVolume);
   $("state-a").addEventListener("click", () => take("a"));
   $("state-b").addEventListener("click", () => take("b"));
   $("make").addEventListener("click", guarded(makeJob));
@@ -395,6 +442,9 @@ guarded(async () => {
   $("sound").replaceChildren(...sounds.map((name) => new Option(name)), new Option("own file"));
   $("storey").replaceChildren(...scene.plans.map((_, k) => new Option(`${k + 1}`, k, false, k === state.storey)));
   $("storey-label").hidden = scene.plans.length < 2;
-  wire(); drawMaterials(); turned(); drawMeter(); moved(); meter();
+  const areas = scene.materials.map((m) => `${m.name}: ${m.area} m² of ${m.labels.join(", ") || "what has no label"}`);
+  $("notes").replaceChildren(...[...areas, ...scene.notes].map((text) => line("li", text)));
+  wire(); drawMaterials(); turned(); setVolume(); drawMeter(); moved(); meter();
+  askFloor().catch(complain);
   document.body.dataset.ready = scene.name;
 })();
