@@ -119,6 +119,7 @@ def test_fingers_move_the_source_too(browser: Any, url: str) -> None:
     page.goto(url)
     page.wait_for_function(READY)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert page.evaluate(CUT_OFF) == [] and page.evaluate(SMALL) == []
     page.select_option("#moves", "source")
     listener = page.evaluate("state.listener")
     for point in (4, listener):  # where the listener is as well

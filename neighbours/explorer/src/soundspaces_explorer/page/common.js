@@ -128,13 +128,17 @@ function head(pen, x, y, heading) {
   const a = -heading * Math.PI / 180;
   pen.save(); pen.translate(x, y); pen.rotate(a);
   pen.beginPath(); pen.moveTo(17, 0); pen.lineTo(8, -6); pen.lineTo(8, 6); pen.closePath(); // the nose
-  pen.fillStyle = "#0072b2"; pen.fill();
-  pen.beginPath(); pen.arc(0, 0, 9, 0, 7); pen.fill(); pen.strokeStyle = "#fff"; pen.lineWidth = 1.5; pen.stroke();
+  pen.fillStyle = "#0072b2"; pen.strokeStyle = "#fff"; pen.lineWidth = 1.5; pen.fill(); pen.stroke();
+  pen.beginPath(); pen.arc(0, 0, 9, 0, 7); pen.fill(); pen.stroke();
   pen.fillRect(-3, -13, 6, 4); pen.fillRect(-3, 9, 6, 4); // ears
   pen.restore();
 }
 
-const bandText = (low, high) => high < 1000 ? `${Math.round(low)}–${Math.round(high)} Hz` : `${low < 1000 ? +(low / 1000).toFixed(2) : +(low / 1000).toFixed(1)}–${+(high / 1000).toFixed(1)} kHz`;
+// No line ends at the dash.
+function bandText(low, high) {
+  const kilo = high >= 1000, text = (f) => kilo ? `${+(f / 1000).toFixed(f < 1000 ? 2 : 1)}` : `${Math.round(f)}`;
+  return `${text(low)}\u2060–\u2060${text(high)} ${kilo ? "kHz" : "Hz"}`;
+}
 const number = (v, digits) => v === null ? "–" : minus((+v.toFixed(digits) + 0).toFixed(digits));
 
 // Metres to pixels and back for a rectangle of the plan, with room for axes and scale bar.
