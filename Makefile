@@ -38,10 +38,13 @@ help: ## Show this list
 	@echo "make <target> [SCENE=demo|path] [OUT=out] [SPACING=0.5] [CONFIG=$(CONFIG)] [JOBS=n] [RATE=44100] [STORE=echogram] [WALKS=3000] [POINTS=points.txt] [ENGINE=local|dask|slurm|ray] [ENGINE_OPTIONS=\"key=value\"]"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-$(VENV)/.installed: pyproject.toml
+$(VENV)/.made: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.made
 	$(INSTALL) -e ".[figures]"
 	@touch $@
 
@@ -61,8 +64,9 @@ $(VENV)/.documented: $(VENV)/.installed
 	$(INSTALL) -e ".[docs]"
 	@touch $@
 
-$(VENV)/.explores: $(VENV)/.installed
-	$(INSTALL) --no-deps -e ./neighbours/explorer
+# All at once and without what draws figures: who comes to listen waits for no more than that.
+$(VENV)/.explores: $(VENV)/.made
+	$(INSTALL) -e . -e ./neighbours/explorer
 	@touch $@
 
 $(VENV)/.collects: $(VENV)/.installed

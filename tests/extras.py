@@ -77,6 +77,8 @@ GROUPS = {
             "tests/dataset/test_torch.py",
             "tests/dataset/test_torch_renderer.py",
             "tests/build/test_torch_rooms.py",
+            "tests/test_readme.py::test_documentation_runs",
+            "tests/test_readme.py::test_python_of_a_row_runs",
         ),
         torch=True,
     ),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import soundfile
 import trimesh
+import yaml
 from msgspec import structs
 from typer.testing import CliRunner
 
@@ -24,11 +25,30 @@ from tests.conftest import energy
 from tests.marks import ci_slow
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted(
-    p.relative_to(ROOT / "docs").as_posix()
-    for p in (ROOT / "docs").rglob("*.md")
-    if "```python" in p.read_text("utf-8")
-)
+DOCS = ROOT / "docs"
+
+
+def blocks_of(page: Path, language: str = "python") -> list[str]:
+    """Code of a page in a language."""
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+#: Every block of Python of the documentation: page and number.
+BLOCKS = [
+    (p.relative_to(DOCS).as_posix(), k)
+    for p in sorted(DOCS.rglob("*.md"))
+    for k in range(len(blocks_of(p)))
+]
+#: Pages of the site's menu under "Use", and the README.
+USE = [
+    ROOT / "README.md",
+    *(
+        DOCS / page
+        for group in yaml.safe_load((ROOT / "mkdocs.yml").read_text("utf-8"))["nav"]
+        for page in group.get("Use", ())
+        if isinstance(page, str)
+    ),
+]
 
 
 @pytest.fixture(autouse=True)
@@ -79,17 +99,36 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run_page(page: Path) -> int:
     """Run a page's blocks of Python, each on its own; how many there are."""
-    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    blocks = blocks_of(page)
     for block in blocks:
-        exec(block, {"__name__": "example"})
-        gc.collect()  # datasets that it left open: HDF5 opens no file a second time with other locking
+        run_block(block)
     return len(blocks)
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_documentation_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(demo)
-    assert run_page(ROOT / "docs" / page) > 0
+def run_block(code: str) -> None:
+    exec(code, {"__name__": "example"})
+    gc.collect()  # datasets that it left open: HDF5 opens no file a second time with other locking
+
+
+@pytest.mark.parametrize(("page", "number"), BLOCKS)
+def test_documentation_runs(
+    page: str, number: int, walls: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = blocks_of(DOCS / page)[number]
+    if re.search(r"^(?:import|from) \S*torch", code, re.MULTILINE):
+        pytest.importorskip("torch", reason="the extra `torch` is not installed")
+    monkeypatch.chdir(walls)
+    run_block(code)
+
+
+@pytest.mark.parametrize("page", USE, ids=lambda p: p.stem)
+def test_code_is_in_blocks_that_are_run(page: Path) -> None:
+    """None of it is merely indented, which nothing runs."""
+    text = re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
+    indented = re.findall(r"\n\n    (\S.*)", text)
+    assert [
+        line for line in indented if re.search(r"^(?:import|from|\w+ = |ds\.|ss\.|soundspaces)", line)
+    ] == []
 
 
 @pytest.mark.filterwarnings("ignore:.*non-interactive.*:UserWarning")
@@ -255,25 +294,58 @@ def test_a_command_of_a_row_runs(cell: str, demo: Path, monkeypatch: pytest.Monk
     assert done.exit_code == 0, (done.output, done.exception)
 
 
-#: Of the page on troubleshooting: all but what measures time, or needs minutes.
-_SHOWN = re.findall(
-    r"^soundspaces-sim ((?:inspect|plot|verify|status|table) [^#\n]+)",
-    (ROOT / "docs" / "troubleshooting.md").read_text("utf-8"),
-    re.MULTILINE,
-)
+def _shell_lines() -> list[str]:
+    """Of pages on use, without comments; a line that goes on is one."""
+    blocks = [block for page in USE for block in blocks_of(page, "sh")]
+    lines = [
+        line.partition(" #")[0].strip()
+        for block in blocks
+        for line in block.replace("\\\n", " ").splitlines()
+    ]
+    return sorted({" ".join(line.removeprefix(".venv/bin/").split()) for line in lines if line})
 
 
-@pytest.mark.parametrize("line", sorted({line.strip() for line in _SHOWN}))
-def test_a_command_that_shows_a_cause_runs(
-    line: str, demo: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+#: Beginnings of lines that no test runs, and why. Options of all are looked up in `test_site.py`.
+_LEFT = {
+    "python -m pip install -e": "installs: `make` does, on every submission",
+    "soundspaces-sim plan": "measures time for half a minute: tests/build/test_estimate.py",
+    "soundspaces-sim rirs scans/": "a folder of scans: tests/cli and tests/build/test_engines.py",
+    "soundspaces-sim rirs /data/scans": "a cluster: tests/build/test_engines.py, test_cluster_faults.py",
+    "soundspaces-sim rirs demo --engine": "a cluster: the same",
+    "soundspaces-sim finish": "ends a job of several machines: tests/build/test_engines.py",
+    "dask ": "a cluster",
+    "i=0; for host": "machines of the reader's", "ssh ": "the same", "done; wait": "the same",
+}  # fmt: skip
+_SHELL = _shell_lines()
+_RUN = [line for line in _SHELL if not line.startswith((*_LEFT, "make "))]
+
+
+def test_every_shell_line_is_run_or_left_for_a_reason() -> None:
+    assert len(_RUN) > 12
+    assert all(line.startswith("soundspaces-sim ") for line in _RUN)
+    assert [beginning for beginning in _LEFT if not any(x.startswith(beginning) for x in _SHELL)] == []
+
+
+@pytest.mark.parametrize("line", _RUN)
+def test_a_shell_line_runs(line: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(demo)
     trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]).export("room.obj")
-    done = CliRunner().invoke(
-        app, [*shlex.split(line), *(["--replace"] if line.startswith(("plot", "table")) else [])]
-    )
+    words = shlex.split(line.replace("path/to/scene", "room.obj"))[1:]
+    if words[0] in ("plot", "table", "report"):
+        words.append("--replace")
+    if words[:2] == ["rirs", "demo"]:
+        words += ["--spacing", "4", "--out", f"small_{_RUN.index(line)}"]
+    done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, (done.output, done.exception)
     assert done.output.strip()
+
+
+@pytest.mark.parametrize("line", [line for line in _SHELL if line.startswith("make ")])
+def test_a_line_of_make_has_its_target(line: str) -> None:
+    done = subprocess.run(
+        ["make", "-n", *shlex.split(line)[1:]], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("cell", _is("make ", ".venv/bin/pip "))

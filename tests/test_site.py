@@ -243,3 +243,37 @@ def test_tables_of_the_program_are_made_with_the_site(monkeypatch: pytest.Monkey
         page = SimpleNamespace(file=SimpleNamespace(abs_src_path=str(path), src_uri=path.name))
         made = site_hooks.on_page_markdown(text, page)
         assert row not in text and row in made and "<!--" not in made
+
+
+#: What strangers ask, by words of the question, and words of the answer where it is given.
+_ASKED = {
+    "use my own mesh": ("docs/scenes.md", "any mesh that trimesh reads"),
+    "Which materials": ("materials/materials.toml", "[materials.carpet]"),
+    "How long will my building take": ("docs/troubleshooting.md", "soundspaces-sim plan room.obj"),
+    "How accurate is it": ("docs/validation.md", "## Known issues"),
+    "numbers in the HDF5 files": ("docs/fields.md", "h5py.File"),
+    "Levels look wrong": ("docs/troubleshooting.md", "## Levels look wrong"),
+    "train with PyTorch": ("docs/training.md", "TorchRirDataset(scenes"),
+    "use a GPU": ("docs/gpu.md", "It does not simulate rooms"),
+    "my own HRTF": ("docs/rendering.md", "hrtf=ss.Ears("),
+    "from habitat-sim": ("neighbours/rlr_audio_propagation/README.md", "habitat.attach"),
+}
+
+
+def _clicks(page: Path) -> set[Path]:
+    """Files that links of a page lead to."""
+    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text("utf-8"))
+    return {(page.parent / link).resolve() for link in links if not re.match(r"[a-z]+:", link)}
+
+
+@pytest.mark.parametrize("question", _ASKED)
+def test_questions_of_strangers_are_answered_within_two_clicks(question: str) -> None:
+    """The first leads from the README to the questions, the second to the answer."""
+    name, words = _ASKED[question]
+    answers = DOCS / "troubleshooting.md"
+    assert answers in _clicks(ROOT / "README.md")
+    rows = answers.read_text("utf-8").partition("## Questions")[2].partition("\n## ")[0].splitlines()
+    (row,) = [row for row in rows if question in row]
+    answer = (ROOT / name).resolve()
+    assert answer in _clicks(answers) | {answers}
+    assert (f"{Path(name).name}" in row or "(#" in row) and words in answer.read_text("utf-8")
