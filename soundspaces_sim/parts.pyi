@@ -469,6 +469,9 @@ from .transport.preparation import (
 from .transport.simulate import (
     simulate_pairs,
 )
+from .transport.techniques import (
+    TECHNIQUES,
+)
 from .viz.html_page import (
     write_page,
 )
@@ -520,6 +523,7 @@ __all__ = [
     "SPLITS",
     "STOP",
     "SUCCESS_REWARD",
+    "TECHNIQUES",
     "Agent",
     "BlockCache",
     "Box",

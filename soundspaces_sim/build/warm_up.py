@@ -3,9 +3,10 @@
 Numba compiles one function at a time in a process, so that a first run would wait a minute and more on one
 core. Here child processes compile the tracer's kernels into the cache on disk, while the job places its
 points; a mark in the cache tells later runs that nothing is left to do. What is compiled is what is run: each
-child simulates a little box with some of the techniques. Without names all is compiled, as a job does it.
+child simulates a little box with some of the techniques, and after "then" with others. Without names all is
+compiled, as a job does it.
 
-    python -m soundspaces_sim.build.warm_up [specular arrivals]
+    python -m soundspaces_sim.build.warm_up [specular then arrivals]
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ _log = logging.getLogger(__name__)
 _MODULE = "soundspaces_sim.build.warm_up"  # not `__name__`: that is another one where this is run itself
 
 _ECHOGRAMS = "echograms"  # in a share: what follows the techniques
+_THEN = "then"  # in a share, and on a child's stdout: all before it is compiled first
 Share = tuple[str, ...]
 # What each child compiles, on two cores and on more of them, where the arrivals take longest. A kernel is compiled
 # whole, so more children would not end sooner: three quarters of the arrivals are one, `find_arrivals`.
@@ -60,12 +62,27 @@ _OF_MORE: tuple[Share, ...] = (
     ("receiver_volumes", "connections", _ECHOGRAMS),
     ("arrivals",),
 )
+# For who listens meanwhile: what gives a first sound comes first, which is all but arrivals and radiance transfer.
+# Radiance transfer takes what specular subpaths leave.
+_SOON_OF_TWO: tuple[Share, ...] = (
+    ("specular", _ECHOGRAMS, _THEN, "specular", "radiance_transfer"),
+    ("receiver_volumes", "connections", _THEN, "arrivals"),
+)
+_SOON_OF_MORE: tuple[Share, ...] = (
+    ("specular", _THEN, "specular", "radiance_transfer"),
+    ("receiver_volumes", "connections", _ECHOGRAMS),
+    ("arrivals",),
+)
+_LAST: Share = ("arrivals",)  # of which a first sound needs nothing
 #: How many functions each child has compiled after each tenth of its time: small ones come first. Measured. A slow
 #: test compares the last numbers.
 TENTHS: dict[Share, tuple[int, ...]] = {
     _OF_TWO[0]: (0, 57, 134, 158, 190, 192, 216, 242, 285, 302, 307),
     _OF_TWO[1]: (0, 48, 96, 137, 183, 207, 234, 251, 251, 251, 252),
     _OF_MORE[0]: (0, 24, 63, 101, 133, 158, 158, 160, 178, 191, 195),
+    _SOON_OF_TWO[0]: (0, 29, 94, 143, 154, 164, 192, 206, 226, 241, 253),
+    _SOON_OF_TWO[1]: (0, 83, 149, 177, 218, 270, 313, 345, 362, 362, 363),
+    _SOON_OF_MORE[0]: (0, 20, 73, 106, 142, 154, 154, 159, 178, 190, 195),
     _OF_MORE[1]: (0, 26, 83, 143, 149, 170, 181, 210, 214, 231, 232),
 }
 _STEPS = 1000
@@ -74,14 +91,25 @@ Tell = Callable[
 ]  # done, of how many: shares of the time that was left when one began to wait
 
 
-def shares_for(cores: int) -> tuple[Share, ...]:
-    """What each child compiles on so many cores."""
+def shares_for(cores: int, soon: bool = False) -> tuple[Share, ...]:
+    """What each child compiles on so many cores; `soon`: for a first sound before the rest."""
+    if soon:
+        return _SOON_OF_TWO if cores < 3 else _SOON_OF_MORE
     return _OF_TWO if cores < 3 else _OF_MORE
+
+
+def _rounds(share: Share) -> list[Share]:
+    """What a child compiles, one after the other."""
+    ends = [k for k, name in enumerate(share) if name == _THEN]
+    return [share[i:j] for i, j in zip([0, *(k + 1 for k in ends)], [*ends, len(share)], strict=True)]
 
 
 def share_of_time(compiled: int, tenths: Sequence[int]) -> float:
     """Share of its time after which a child has compiled so many functions, below 1."""
-    return min(float(np.interp(compiled, tenths, np.linspace(0.0, 1.0, len(tenths)))), 0.99)
+    steps, first = np.unique(
+        tenths, return_index=True
+    )  # a kernel that takes long is none until it is done
+    return min(float(np.interp(compiled, steps, first / (len(tenths) - 1))), 0.99)
 
 
 def mark_path() -> Path:
@@ -93,10 +121,12 @@ def mark_path() -> Path:
 
 
 class WarmUp:
-    """Children that compile while this process does other things. `wait` for them before simulating."""
+    """Children that compile while this process does other things. `wait` for them before simulating. With `soon`,
+    `wait_for_first` returns when subpaths can be simulated without arrivals and radiance transfer."""
 
-    def __init__(self) -> None:
-        self._shares = shares_for(core_count())
+    def __init__(self, soon: bool = False) -> None:
+        self._shares = shares_for(core_count(), soon)
+        self._first = [threading.Event() for _ in self._shares]
         self._children = [_child(share) for share in self._shares]
         self._compiled = [0] * len(self._children)
         self._readers = [
@@ -109,8 +139,18 @@ class WarmUp:
     def _count(self, k: int) -> None:
         lines = self._children[k].stdout
         assert lines is not None
-        for _ in lines:
-            self._compiled[k] += 1
+        for line in lines:
+            if line.strip() == _THEN:
+                self._first[k].set()
+            else:
+                self._compiled[k] += 1
+        self._first[k].set()
+
+    def wait_for_first(self) -> None:
+        """Until what each child compiles first is there, or the child has ended."""
+        for share, event in zip(self._shares, self._first, strict=True):
+            if share != _LAST:
+                event.wait()
 
     def _share(self) -> float:
         """Of the time that the slowest child takes; one that has ended does not count."""
@@ -170,11 +210,12 @@ def _child(share: Sequence[str]) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def start() -> WarmUp | None:
-    """Begin to compile, if that has not been done yet on this machine; None if there is nothing to do."""
+def start(soon: bool = False) -> WarmUp | None:
+    """Begin to compile, if that has not been done yet on this machine; None if there is nothing to do. `soon`: what
+    gives a first sound comes first."""
     if numba.config.DISABLE_JIT or mark_path().exists():  # type: ignore[attr-defined]
         return None
-    return WarmUp()
+    return WarmUp(soon)
 
 
 def compile_share(names: Sequence[str]) -> None:
@@ -231,7 +272,11 @@ def main(names: Sequence[str]) -> None:
         end_with(os.getppid())
         gc.disable()  # a tenth of the time, for some 200 MB
         _tell_compiled()
-        compile_share(names)
+        first, *rest = _rounds(tuple(names))
+        compile_share(first)
+        for later in rest:
+            print(_THEN, flush=True)
+            compile_share(later)
     elif (children := start()) is not None:
         children.wait()
 

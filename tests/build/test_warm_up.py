@@ -87,11 +87,44 @@ def test_as_many_functions_are_compiled_as_the_progress_takes_for_granted(tmp_pa
         assert len(done.stdout.splitlines()) == pytest.approx(tenths[-1], rel=0.1)
 
 
+@pytest.mark.parametrize("soon", [False, True])
 @pytest.mark.parametrize("cores", [1, 2, 3, 16, 256])
-def test_every_technique_has_a_share(cores: int) -> None:
-    names = [name for share in warm_up.shares_for(cores) for name in share]
-    assert sorted(names) == sorted(["echograms", *(t.name for t in TECHNIQUES)])
-    assert all(share in warm_up.TENTHS for share in warm_up.shares_for(cores))
+def test_every_technique_has_a_share(cores: int, soon: bool) -> None:
+    shares = warm_up.shares_for(cores, soon)
+    names = [name for share in shares for name in share]
+    assert {*names} - {"then"} == {"echograms", *(t.name for t in TECHNIQUES)}
+    assert soon or len(names) == len({*names})
+    assert all(share in warm_up.TENTHS for share in shares)
+
+
+@pytest.mark.parametrize("cores", [2, 3])
+def test_a_first_sound_waits_for_neither_arrivals_nor_radiance_transfer(cores: int) -> None:
+    first = {name for share in warm_up.shares_for(cores, True) for name in warm_up._rounds(share)[0]}
+    assert {"specular", "receiver_volumes", "connections", "echograms"} <= first
+    assert "radiance_transfer" not in first
+    waited = [share for share in warm_up.shares_for(cores, True) if share != warm_up._LAST]
+    assert all("arrivals" not in warm_up._rounds(share)[0] for share in waited)
+
+
+def test_children_tell_when_the_first_round_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And `wait_for_first` returns though one of them goes on."""
+    code = "import sys; print('f'); print('then', flush=True); sys.stdin.read()"
+
+    def child(_: object) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-c", code], text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+
+    monkeypatch.setattr(warm_up, "_child", child)
+    compiling = warm_up.WarmUp(soon=True)
+    compiling.wait_for_first()
+    assert all(child.poll() is None for child in compiling._children)
+    assert all(n <= 1 for n in compiling._compiled)
+    for one in compiling._children:
+        assert one.stdin is not None
+        one.stdin.close()
+    compiling.stop()
 
 
 def test_no_kernel_is_left(tmp_path: Path) -> None:

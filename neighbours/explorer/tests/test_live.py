@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec import structs
-from soundspaces_explorer import live
 from soundspaces_explorer.absorption import chosen_table, materials_file, with_absorption
 from soundspaces_explorer.job import JobMaker
 from soundspaces_explorer.live import Answer, LiveScene, NotYetError, Question, Step
 
 import soundspaces_sim as ss
+from soundspaces_sim.parts import prepare_scene
 
 A, B, C = (1.0, 1.0, 1.5), (4.0, 3.5, 1.5), (4.5, 3.0, 1.5)
 CHOSEN = (("carpet", (0.5, 0.5, 0.5, 0.5)),)
@@ -172,7 +172,10 @@ class _Compiling:
     """Stands for children that compile, until they are let go."""
 
     def __init__(self) -> None:
-        self.go = threading.Event()
+        self.go, self.first = threading.Event(), threading.Event()
+
+    def wait_for_first(self) -> None:
+        assert self.first.wait(60.0)
 
     def wait(self, tell: Any) -> None:
         tell(400, 1000)
@@ -189,23 +192,42 @@ def test_while_kernels_are_compiled_the_page_is_told(
     assert storey == 0 and not np.array_equal(source, listener)
     with pytest.raises(NotYetError, match=r"Compiling.* 40 %"):
         waiting.ask(Question(A, B), wait_s=0.2)
+    compiling.first.set()
+    first = waiting.ask(Question(A, B), wait_s=60.0)
+    assert first.kind == "preview" and not first.done and "Compiling" in str(waiting.compiling)
+    with pytest.raises(
+        NotYetError
+    ):  # arrivals of another place are not solved yet: its own preview comes first
+        waiting.ask(Question(A, C), wait_s=0.0)
+    assert waiting.ask(Question(A, C), wait_s=60.0).kind == "preview"
+    waiting.ask(Question(A, B), wait_s=60.0)
     compiling.go.set()
-    assert waiting.ask(Question(A, B), wait_s=60.0).kind == "estimate"
+    later = waiting.ask(Question(A, B), first.version + 2, 60.0)
+    while later.kind == "preview":
+        later = waiting.ask(Question(A, B), later.version, 60.0)
+    assert later.kind == "estimate" and not waiting.compiling
     waiting.close()
+    before, after = first.echogram, later.echogram
+    assert before.visible and len(before.early) == 0 < len(after.early)
+    assert before.direct is not None and after.direct is not None
+    np.testing.assert_allclose(before.direct.energy, after.direct.energy, rtol=1e-6)
+    early = sum(arrival.energy for arrival in after.early)
+    late, whole = (e.histogram().sum(axis=1) for e in (before, after))
+    np.testing.assert_allclose(late + early, whole, rtol=0.3)
 
 
 def test_a_place_is_heard_while_later_estimates_are_prepared(
     live_scene: LiveScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Patches of radiance transfer take seconds in a scan."""
-    go, waited_in_vain, prepare = threading.Event(), [], live.prepare_scene
+    go, waited_in_vain = threading.Event(), []
 
     def slowly(scene: ss.Scene, config: ss.SimulationConfig) -> Any:
         if config.radiance_transfer.enabled and not go.wait(60.0):
             waited_in_vain.append(config)
-        return prepare(scene, config)
+        return prepare_scene(scene, config)
 
-    monkeypatch.setattr(live, "prepare_scene", slowly)
+    monkeypatch.setattr("soundspaces_explorer.live.prepare_scene", slowly)
     walked = LiveScene(live_scene.scene, live_scene.config)
     assert walked.ask(Question(A, B), wait_s=120.0).kind == "estimate"
     answer = walked.ask(Question(A, C))

@@ -87,7 +87,7 @@ def _live(name: str, read: Read, out: Path, rate: int, hrtf: Path | None) -> Liv
     from soundspaces_explorer.live_api import LiveSession
 
     check_rate(rate)
-    compiling = compile_ahead()
+    compiling = compile_ahead(soon=True)
     with Meter("Loading the scene"):
         scene = read()
         live = LiveScene(scene, hrtf=hrtf, compiling=compiling)

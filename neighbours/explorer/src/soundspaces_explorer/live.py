@@ -4,7 +4,8 @@ One pair of places at a time, that of the latest question, is estimated with few
 with more of them step by step. Two threads work: one on the steps that take a second or less, so that a new place
 is heard soon, one on those that take longer. Wherever the listener has walked to meanwhile, discrete arrivals are
 solved for that very place, which takes no subpaths; only reverberation is then that of the place before. Other
-absorption is read from the counts of reflections at once, and then simulated.
+absorption is read from the counts of reflections at once, and then simulated. On the first run, while kernels are
+compiled, the first sound is direct sound and reverberation, without early reflections: their kernel takes longest.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from soundspaces_explorer.absorption import with_absorption
 from soundspaces_sim import (
     Arrivals,
     ConfigError,
+    DiffractionConfig,
     Echogram,
     Echograms,
     MaterialError,
@@ -41,6 +43,8 @@ from soundspaces_sim import (
     room_parameters,
 )
 from soundspaces_sim.parts import (
+    DIRECT_SOUND,
+    TECHNIQUES,
     Geometry,
     SimulatedPaths,
     WarmUp,
@@ -51,6 +55,7 @@ from soundspaces_sim.parts import (
     kernel,
     prepare_scene,
     simulate_pairs,
+    simulate_tile,
 )
 
 _log = logging.getLogger(__name__)
@@ -66,6 +71,13 @@ class Step(NamedTuple):
 #: The first is heard within a second; each later one has half the error of the one before, or less.
 STEPS = (Step(256, False), Step(256, True), Step(1024, True), Step(4096, True), Step(16384, True))
 _QUICK = 3  # of them are made by the first thread
+_PREVIEW = -1  # step of what is heard while kernels are compiled
+_PREVIEW_S = 1.0  # that it lasts: what measures how long sound lasts is not compiled yet
+#: Of all that arrives discretely the direct sound alone.
+_WITHOUT_ARRIVALS = (
+    DIRECT_SOUND,
+    *(t for t in TECHNIQUES if t.name not in ("arrivals", "radiance_transfer")),
+)
 _KEPT = 8  # estimates: A, B, and places that one comes back to
 _SPACING = 0.5  # m, of the points that tell where one can stand
 _GROUPS = 12  # materials whose reflections are counted: the most there can be
@@ -89,7 +101,7 @@ class Question(NamedTuple):
 
 @dataclass(frozen=True)
 class Estimate:
-    """Of a question; `step` is the row of `STEPS`."""
+    """Of a question; `step` is the row of `STEPS`, or `_PREVIEW`."""
 
     question: Question
     step: int
@@ -99,8 +111,9 @@ class Estimate:
 @dataclass(frozen=True)
 class Answer:
     """What is heard, and how well it is known. `version` grows with every estimate; `kind`: ``estimate``,
-    ``moved`` (arrivals are those of the place, reverberation is of one nearby) or ``counts`` (absorption read from
-    counts). `measures`: (B, 2) values and standard errors, NaN where they are not known, of each; (1, 2) of sti."""
+    ``preview`` (without early reflections), ``moved`` (arrivals are those of the place, reverberation is of one
+    nearby) or ``counts`` (absorption read from counts). `measures`: (B, 2) values and standard errors, NaN where
+    they are not known, of each; (1, 2) of sti."""
 
     echogram: Echogram
     kind: str
@@ -139,10 +152,12 @@ class LiveScene:
         self._failed: dict[Question, SoundSpacesSimError] = {}
         self._version, self._closed = 0, False
         self._compiled = 1.0 if compiling is None else 0.0  # share
-        self._kernels = threading.Event()
+        self._first_kernels, self._kernels = threading.Event(), threading.Event()
         self._changed = threading.Condition()
+        if compiling is not None:
+            threading.Thread(target=self._wait_for_first, args=(compiling,), daemon=True).start()
         threading.Thread(target=self._compile, args=(compiling,), daemon=True).start()
-        for steps in (range(_QUICK), range(_QUICK, len(STEPS))):
+        for steps in (range(_PREVIEW, _QUICK), range(_QUICK, len(STEPS))):
             threading.Thread(target=self._work, args=(steps,), daemon=True).start()
 
     @property
@@ -158,25 +173,51 @@ class LiveScene:
 
         if compiling is not None:
             compiling.wait(tell)
-        self._kernels.set()
+        self._reached(self._kernels)
+
+    def _wait_for_first(self, compiling: WarmUp) -> None:
+        compiling.wait_for_first()
+        self._reached(self._first_kernels)
+
+    def _reached(self, event: threading.Event) -> None:
+        with self._changed:
+            event.set()
+            self._changed.notify_all()
+
+    @property
+    def compiling(self) -> str | None:
+        """What to tell of kernels that are compiled; None if all are there."""
+        if self._kernels.is_set():
+            return None
+        return f"Compiling, once per installation: {100.0 * self._compiled:.0f} % …"
 
     def warm_up(self, rate: int) -> None:
         """Make the first estimate, and load what renders it, while a browser opens."""
         binaural_rir(np.zeros((9, 64), np.float32), rate)  # needs no kernels
-        self._kernels.wait()
         source, listener, storey = self.first_places()
         there, here = (
             self.place(round(float(p[0]), 3), round(float(p[1]), 3), storey) for p in (source, listener)
         )
         try:
-            answer = self.ask(Question(there, here), wait_s=60.0)
+            answer = self._first_answer(Question(there, here))
         except SoundSpacesSimError as error:
             _log.warning("%s", error)
+            return
+        if answer is None:
             return
         self.ears(answer, 0.0, rate)
         counts = answer.echogram.counts
         if counts is not None and counts.groups.names:
             _refurnished(answer.echogram, {counts.groups.names[0]: counts.groups.absorption[0]})
+
+    def _first_answer(self, question: Question) -> Answer | None:
+        """As soon as there is one; None if something else has been asked by then, or the threads have ended."""
+        while not self._closed and self._wanted in (None, question):
+            try:
+                return self.ask(question, wait_s=5.0)
+            except NotYetError:
+                continue
+        return None
 
     def close(self) -> None:
         """Let the threads end with what they are at."""
@@ -260,9 +301,7 @@ class LiveScene:
         return self._answer(question, best, version)
 
     def _why_not(self) -> str:
-        if self._kernels.is_set():
-            return "Making the first estimate …"
-        return f"Compiling, once per installation: {100.0 * self._compiled:.0f} % …"
+        return self.compiling or "Making the first estimate …"
 
     def _best(self, question: Question) -> Estimate | None:
         """The question's own estimate or, until that is as good, one of its places with other absorption, or else
@@ -271,10 +310,15 @@ class LiveScene:
         if own is not None and own.step > 0:
             return own
         here = [e for e in self._kept.values() if e.question[:2] == question[:2] and e.step > 0]
-        return max(here, key=lambda e: e.step, default=own or self._last)
+        return max(here, key=lambda e: e.step, default=own or self._elsewhere)
+
+    @property
+    def _elsewhere(self) -> Estimate | None:
+        """The latest of any places; None while nothing can be read for others from it."""
+        return self._last if self._last is not None and self._last.step != _PREVIEW else None
 
     def _ready(self, question: Question, after: int) -> bool:
-        known = question in self._kept or self._last is not None
+        known = question in self._kept or self._elsewhere is not None
         return self._closed or question in self._failed or (known and self._version > after)
 
     def _check(self, question: Question) -> None:
@@ -291,7 +335,7 @@ class LiveScene:
 
     def _answer(self, question: Question, best: Estimate, version: int) -> Answer:
         if best.question == question:
-            kind, echogram = "estimate", best.echoes[0, 0]
+            kind, echogram = ("preview" if best.step == _PREVIEW else "estimate"), best.echoes[0, 0]
         else:
             kind = "counts" if best.question[:2] == question[:2] else "moved"
             echogram = self._read(best, question)
@@ -349,7 +393,10 @@ class LiveScene:
         if question is None or question in self._failed:
             return None
         found = self._kept.get(question)
-        step = 0 if found is None else found.step + 1
+        if not self._kernels.is_set():
+            step = _PREVIEW if found is None and self._first_kernels.is_set() else len(STEPS)
+        else:
+            step = 0 if found is None else found.step + 1
         return (question, step) if step in steps else None
 
     def _work(self, steps: range) -> None:
@@ -361,9 +408,9 @@ class LiveScene:
                 task = self._next(steps)
                 assert task is not None
             question, step = task
-            self._kernels.wait()
             try:
-                estimate = Estimate(question, step, self._simulate(question, step))
+                simulate = self._preview if step == _PREVIEW else self._simulate
+                estimate = Estimate(question, step, simulate(question, step))
             except SoundSpacesSimError as error:
                 with self._changed:
                     self._failed[question] = error
@@ -381,6 +428,27 @@ class LiveScene:
                 self._version += 1
                 self._changed.notify_all()
 
+    def _preview(self, question: Question, _: int) -> Echograms:
+        """Direct sound and reverberation."""
+        a, b = np.array([question.source]), np.array([question.listener])
+        config = structs.replace(
+            self.config,
+            walks=STEPS[0].walks,
+            target_error=None,
+            duration=self.config.duration or _PREVIEW_S,
+            radiance_transfer=RadianceTransferConfig(enabled=False),
+            diffraction=DiffractionConfig(enabled=False),
+        )
+        prepared = prepare_scene(self._with(question.chosen), config)
+        model = at_points(prepared, np.concatenate([a, b]), self.seed)
+        return simulate_tile(model, a, b, both_ways=False, techniques=_WITHOUT_ARRIVALS)[0]
+
+    def _with(self, chosen: Chosen) -> Scene:
+        """The scene with some absorption."""
+        if not chosen:
+            return self.scene
+        return with_absorption(self.scene, {n: np.array(a) for n, a in chosen}, self.bands)
+
     def _simulate(self, question: Question, step: int) -> Echograms:
         a, b = np.array([question.source]), np.array([question.listener])
         with self._making:
@@ -391,10 +459,7 @@ class LiveScene:
     def _world(self, chosen: Chosen) -> _World:
         """The scene with some absorption, prepared."""
         if chosen not in self._worlds:
-            scene = self.scene
-            if chosen:
-                scene = with_absorption(scene, {n: np.array(a) for n, a in chosen}, self.bands)
-            self._worlds[chosen] = _World(scene, self.config, self.seed)
+            self._worlds[chosen] = _World(self._with(chosen), self.config, self.seed)
             while len(self._worlds) > _KEPT:
                 self._worlds.popitem(last=False)
         self._worlds.move_to_end(chosen)

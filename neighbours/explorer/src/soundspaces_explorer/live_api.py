@@ -64,7 +64,7 @@ class LiveSession:
             answer = self.scene.ask(question, after, _WAIT_S)
         except NotYetError as error:
             return json_answer({"waiting": str(error)})
-        return json_answer(live_payloads.answer_of(question, answer))
+        return json_answer(live_payloads.answer_of(question, answer, self.scene.compiling))
 
     def _response(self, query: dict[str, str]) -> Answered:
         question = live_payloads.question_of(self.scene, query)

@@ -118,8 +118,8 @@ def _numbers(text: str, between: str, name: str) -> list[float]:
     return values
 
 
-def answer_of(question: Question, answer: Answer) -> dict[str, Any]:
-    """Kind, step, measures with errors, decay, arrivals of what is heard."""
+def answer_of(question: Question, answer: Answer, note: str | None = None) -> dict[str, Any]:
+    """A note for people, kind, step, measures with errors, decay, arrivals of what is heard."""
     echogram = answer.echogram
     curve, bin_s = decay_of(echogram)
     level = float(levels_of([echogram])[0])
@@ -128,6 +128,7 @@ def answer_of(question: Question, answer: Answer) -> dict[str, Any]:
         "kind": answer.kind,
         "step": answer.step,
         "done": answer.done,
+        "note": note,
         "visible": bool(echogram.visible),
         "distance": round(math.dist(question.source, question.listener), 3),
         "level": round(level, 2) if math.isfinite(level) else None,

@@ -6,7 +6,8 @@ const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9
 const STEP_M = 0.25, TURN = 5, SOON_MS = 120; // of an arrow key; of a key that turns, degrees; between questions while something moves
 const STEP_UP = 0.05; // m by which heights of neighbouring cells differ at an edge
 const NEAR = 18; // px about a mark that can be dragged
-const KINDS = { estimate: "", moved: "walking: reverberation of the place before", counts: "read from counts of reflections" };
+const KINDS = { estimate: "", moved: "walking: reverberation of the place before", counts: "read from counts of reflections",
+  preview: "first sound, without early reflections" };
 const state = { scene: null, source: null, listener: null, heading: 90, storey: 0, chosen: {}, answer: null, cut: null, slot: "a", slots: {}, floors: {} };
 let asking = null, timer = 0, heard = 0;
 
@@ -45,6 +46,7 @@ async function follow() {
       draw();
       await listen();
     }
+    if (answer.note) $("progress-text").textContent = `${KINDS.preview[0].toUpperCase()}${KINDS.preview.slice(1)}. ${answer.note}`;
     if (answer.done) {
       if (asked === query()) document.body.dataset.done = asked; // else something has moved meanwhile, and is asked soon
       return;
