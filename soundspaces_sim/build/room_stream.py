@@ -206,7 +206,8 @@ EARLY_S = 0.05  # after the direct sound
 LABELS = ("t30", "c50", "drr")
 _STREAM = 0x5EEC
 _ORDERS, _TURNS = 8, 6  # rooms for one that is to order, and simulations of each
-_OFF = 0.1  # of the T30 that is wanted
+_OFF, _OFF_DB = 0.1, 1.0  # of the T30 that is wanted, and of the ratio of direct to reverberant sound
+_PLACES = 200  # that are tried for a talker
 _POWERS = (0.1, 10.0)  # beyond which surfaces are none that rooms have
 _MID_HZ = (354.0, 1414.0)  # the octaves of 500 and 1,000 Hz
 _LOW = 1  # the stream of the equalisation's random numbers, beside that of a room
@@ -236,6 +237,11 @@ class RoomStream:
     (``reflection_power``), under Eyring's formula the inverse of the factor to T30, until the simulated T30 is
     within 10 % of what is wanted; rooms that do not get there are drawn anew. The label ``t30`` says what came out.
 
+    `drr`: least and most, dB, of every talker's ratio of direct to reverberant sound (up to 2.5 ms and later, mean
+    of the same bands), drawn evenly for each (``drr_wanted``, (S,)). Talkers move (twice as far is 6 dB less where
+    reverberation is even) until the simulated ratio is within 1 dB of what is wanted; the label ``drr`` says what
+    came out.
+
     `set_epoch`: other rooms, surfaces, places and headings. `shard` (k, n): only every n-th room, from the k-th
     (from 0), as `share` gives them. `config`: by default subpaths are added until every pair
     has an error of 5 %. Raises `ConfigError`; errors of a room name its number.
@@ -256,6 +262,7 @@ class RoomStream:
         shard: tuple[int, int] = (0, 1),
         low_equalisation_db: float = 0.0,
         t30: tuple[float, float] | None = None,
+        drr: tuple[float, float] | None = None,
     ) -> None:
         check_numbers(kinds, sources, microphones)
         if count is not None and count < 0:
@@ -278,7 +285,9 @@ class RoomStream:
         self.low_equalisation_db = check_deviation(low_equalisation_db)
         if t30 is not None and not 0.05 <= t30[0] <= t30[1] <= 10.0:
             raise ConfigError(f"t30: expected least and most, 0.05 to 10 s, got {t30}")
-        self.t30 = t30
+        if drr is not None and not -40.0 <= drr[0] <= drr[1] <= 40.0:
+            raise ConfigError(f"drr: expected least and most, -40 to 40 dB, got {drr}")
+        self.t30, self.drr = t30, drr
         self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -324,27 +333,56 @@ class RoomStream:
     def _room(self, rng: np.random.Generator, name: str) -> tuple[RandomRoom, int, Echograms, Item]:
         """A room, its seed, its echograms, and, of one to order, what was wanted. Raises `SimulationError` where
         no room of many gets there."""
-        wanted = None if self.t30 is None else float(rng.uniform(*self.t30))
+        t30 = None if self.t30 is None else float(rng.uniform(*self.t30))
         for _ in range(_ORDERS):
             room = draw_room(rng, name, self.kinds, self.sources, self.microphones)
             seed = int(rng.integers(2**31))
-            if wanted is None:
-                return room, seed, _echograms(room, self.config, seed), {}
-            power = 1.0
-            for _ in range(_TURNS):
-                tried = replace(room, scene=_with_reflections(room.scene, power))
-                echoes = _echograms(tried, self.config, seed)
-                found = _mid_t30(echoes)
-                if abs(found / wanted - 1.0) <= _OFF:
-                    return tried, seed, echoes, {"t30_wanted": wanted, "reflection_power": power}
-                # Not known where the echogram ends before sound has fallen by 35 dB: then less has to be reflected.
-                power *= found / wanted if np.isfinite(found) else 2.0
-                if not _POWERS[0] <= power <= _POWERS[1]:
-                    break
-        raise SimulationError(
-            f"{name}: none of {_ORDERS} rooms has a T30 of {wanted:.2f} s by surfaces that reflect more or less; "
-            "choose t30 nearer to what rooms of these kinds have, or a longer duration"
+            drr = None if self.drr is None else rng.uniform(*self.drr, len(room.sources))
+            if (found := self._to_order(rng, room, seed, t30, drr)) is not None:
+                return found
+        asked = (
+            [] if self.t30 is None else [f"a T30 of {t30:.2f} s by surfaces that reflect more or less"]
         )
+        if self.drr is not None:
+            asked.append(f"{self.drr[0]:g} to {self.drr[1]:g} dB of direct to reverberant sound")
+        raise SimulationError(
+            f"{name}: none of {_ORDERS} rooms has {', and '.join(asked)}; choose them nearer to what rooms of "
+            "these kinds have, or a longer duration"
+        )
+
+    def _to_order(
+        self,
+        rng: np.random.Generator,
+        room: RandomRoom,
+        seed: int,
+        t30: float | None,
+        drr: np.ndarray | None,
+    ) -> tuple[RandomRoom, int, Echograms, Item] | None:
+        """As `_room`, of `room` with other surfaces and places of talkers; None if it does not get there."""
+        power = 1.0
+        for _ in range(_TURNS if t30 is not None or drr is not None else 1):
+            tried = replace(room, scene=_with_reflections(room.scene, power))
+            echoes, done, of_order = _echograms(tried, self.config, seed), True, Item()
+            if t30 is not None:
+                found = float(_middle(echoes, "t30").mean())
+                done = abs(found / t30 - 1.0) <= _OFF
+                of_order |= {"t30_wanted": t30, "reflection_power": power}
+                # Not known where the echogram ends before sound has fallen by 35 dB: then less has to be reflected.
+                if not done:
+                    power *= found / t30 if np.isfinite(found) else 2.0
+            if drr is not None:
+                apart = _middle(echoes, "drr") - drr
+                of_order |= {"drr_wanted": drr}
+                if not (np.abs(apart) <= _OFF_DB).all():
+                    done = False
+                    if (moved := _moved(rng, room, apart)) is None:
+                        return None
+                    room = moved
+            if done:
+                return tried, seed, echoes, of_order
+            if not _POWERS[0] <= power <= _POWERS[1]:
+                return None
+        return None
 
     def _signals(self, rng: np.random.Generator, item: Item) -> Item:
         samples = round(self.seconds * self.rate)
@@ -394,13 +432,46 @@ def _with_reflections(scene: Scene, power: float) -> Scene:
     return replace(scene, materials=replace(table, absorption=absorption, transmission=through))
 
 
-def _mid_t30(echoes: Echograms) -> float:
-    """Mean of the talkers' T30 in the bands about 500 and 1,000 Hz, s; NaN where one is not known."""
+def _middle(echoes: Echograms, measure: str) -> np.ndarray:
+    """(S,) means of a measure of the talkers over the bands about 500 and 1,000 Hz; NaN where one is not known."""
     edges = np.asarray(echoes.bands)
     centres = np.sqrt(np.maximum(edges[:-1], 1.0) * edges[1:])
     rows = (centres >= _MID_HZ[0]) & (centres <= _MID_HZ[1])
-    t30 = echograms_measures(echoes)["t30"][:, 0]
-    return float(t30[:, rows if rows.any() else slice(None)].mean())
+    found = echograms_measures(echoes)[measure][:, 0]
+    return np.asarray(found[:, rows if rows.any() else slice(None)].mean(axis=1))
+
+
+def _moved(rng: np.random.Generator, room: RandomRoom, apart: np.ndarray) -> RandomRoom | None:
+    """A room whose talkers are so far from the array that ratios of direct to reverberant sound, which are off by
+    `apart` (S,) dB, are right where reverberation is even; None if there is no such place in the room.
+
+    A talker stays in the direction in which it is if there is room, and turns about the array if not, or if it is
+    out of sight of it (NaN).
+    """
+    low = room.scene.bounds[0]
+    mouths = np.array([source.position for source in room.sources])
+    for s, off in enumerate(apart):
+        if abs(off) <= _OFF_DB:
+            continue
+        arrow = mouths[s] - room.place
+        distance = float(np.linalg.norm(arrow)) * 10.0 ** (np.nan_to_num(off) / 20.0)
+        height = np.append(mouths[s, 2], low[2] + rng.uniform(*_MOUTH, _PLACES - 1)) - room.place[2]
+        across = np.sqrt(np.maximum(distance**2 - height**2, 0.0))
+        turn = np.arctan2(arrow[1], arrow[0]) + np.append(0.0, rng.uniform(-np.pi, np.pi, _PLACES - 1))
+        some = room.place + np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
+        closed, clearance = closedness(room.scene, some, 64, 8)
+        others = np.vstack([room.place[None], np.delete(mouths, s, axis=0)])
+        near = np.linalg.norm(some[:, None] - others[None], axis=2).min(axis=1)
+        free = (closed > 0.99) & (clearance > _MARGIN) & (near >= _LEAST) & (np.abs(height) <= distance)
+        free[0] &= np.isfinite(off)
+        if not free.any():
+            return None
+        mouths[s] = some[free.argmax()]
+    sources = (
+        replace(source, position=tuple(mouth))
+        for source, mouth in zip(room.sources, mouths, strict=True)
+    )
+    return replace(room, sources=tuple(sources))
 
 
 def _echograms(room: RandomRoom, config: SimulationConfig, seed: int) -> Echograms:
