@@ -44,6 +44,7 @@ _ROUGH = 0.005  # m: an edge that strays more has places closed by noise
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _MOST_STEPS = 20_000_000  # along all edges
 _AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
+_OF_THREAD = 4096  # faces for which it is worth to start a thread
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
 
@@ -146,7 +147,7 @@ def _pieces(vertices: np.ndarray, faces: np.ndarray) -> _Pieces:
     points, faces = welded_faces(vertices, faces, _WELD)
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     inward, width = np.empty((3 * len(faces), 3)), np.empty(3 * len(faces))
-    over_rows(_find_inward, len(faces), points, faces, inward, width)
+    over_rows(_find_inward, len(faces), points, faces, inward, width, least=_OF_THREAD)
     side = side_numbers(faces).T.ravel()
     count = np.bincount(side)
     total = np.stack([np.bincount(side, w, len(count)) for w in inward.T], axis=1)

@@ -27,6 +27,7 @@ _LEAST_AREA = 0.15  # of the lattice's cell size squared: smaller patches are le
 _QUARTERED = 0.1  # m, longest edge of pieces that are quartered no more
 _CLEAR = 0.6  # of the offset of rays: so far off the outline rays start, for a wall may lean over it
 _MOST_CLEAR = 0.9  # of a piece's height, in all
+_OF_THREAD = 4096  # pieces for which it is worth to start a thread
 
 
 class _Split(NamedTuple):
@@ -98,7 +99,7 @@ def _quartered(
 def _inset(corners: np.ndarray, width: float) -> np.ndarray:
     """Triangles (n, 3, 3) with each edge moved inwards by `width` m, or less where little would be left."""
     out = np.empty_like(corners)
-    over_rows(_move_edges, len(corners), np.ascontiguousarray(corners), width, out)
+    over_rows(_move_edges, len(corners), np.ascontiguousarray(corners), width, out, least=_OF_THREAD)
     return out
 
 

@@ -50,6 +50,6 @@ def patch_size(geometry: Geometry, corners: np.ndarray, areas: np.ndarray) -> fl
     a, b, c = corners[triangle].transpose(1, 0, 2)
     places = (1.0 - u)[:, None] * a + (u * (1.0 - v))[:, None] * b + (u * v)[:, None] * c
     ways = np.empty((_RAYS, 2))
-    over_rows(_measure_ways, _RAYS, geometry, triangle, places, ways)
+    over_rows(_measure_ways, _RAYS, geometry, triangle, places, ways, least=_RAYS)
     met = ways[np.isfinite(ways)]
     return max(PATCH_SIZE, float(np.median(met)) / _WAYS) if len(met) else PATCH_SIZE
