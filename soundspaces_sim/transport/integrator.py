@@ -281,7 +281,9 @@ def _error_of_windows(batches: np.ndarray) -> np.ndarray:
 
     def call(first: int, last: int) -> None:
         for i in range(first, last):
-            out[i] = np.sqrt(BATCHES) * batches[i].std(axis=1, ddof=1)
+            squares = np.einsum("lkwb,lkwb->lwb", batches[i], batches[i], dtype=float)
+            squares -= batches[i].sum(axis=1, dtype=float) ** 2 / BATCHES
+            out[i] = np.sqrt(np.maximum(squares, 0.0) * BATCHES / (BATCHES - 1))
 
     over_rows(call, len(out), chunk=1)
     return out
