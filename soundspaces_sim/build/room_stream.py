@@ -182,6 +182,12 @@ def _array(rng: np.random.Generator, count: int) -> MicrophoneArray:
     return MicrophoneArray(radius * offsets, heading_deg=float(rng.uniform(0.0, 360.0)))
 
 
+def _are_free(scene: Scene, places: np.ndarray) -> np.ndarray:
+    """(N,) whether places (N, 3) are in the room, `_MARGIN` from surfaces."""
+    closed, clearance = closedness(scene, places, 64, 8)
+    return np.asarray((closed > 0.99) & (clearance > _MARGIN))
+
+
 def _places(
     rng: np.random.Generator, scene: Scene, count: int, heights: tuple[float, float], taken: np.ndarray
 ) -> np.ndarray:
@@ -190,9 +196,7 @@ def _places(
     found = np.empty((0, 3))
     for _ in range(_TRIES // 50):
         some = rng.uniform((*low[:2], low[2] + heights[0]), (*high[:2], low[2] + heights[1]), (50, 3))
-        closed, clearance = closedness(scene, some, 64, 8)
-        free = (closed > 0.99) & (clearance > _MARGIN)
-        for place in some[free]:
+        for place in some[_are_free(scene, some)]:
             near = np.linalg.norm(np.vstack([taken, found]) - place, axis=1)
             if near.min(initial=np.inf) >= _LEAST and len(found) < count:
                 found = np.vstack([found, place])
@@ -360,7 +364,7 @@ class RoomStream:
     ) -> tuple[RandomRoom, int, Echograms, Item] | None:
         """As `_room`, of `room` with other surfaces and places of talkers; None if it does not get there."""
         power = 1.0
-        for _ in range(_TURNS if t30 is not None or drr is not None else 1):
+        for _ in range(_TURNS):
             tried = replace(room, scene=_with_reflections(room.scene, power))
             echoes, done, of_order = _echograms(tried, self.config, seed), True, Item()
             if t30 is not None:
@@ -459,10 +463,9 @@ def _moved(rng: np.random.Generator, room: RandomRoom, apart: np.ndarray) -> Ran
         across = np.sqrt(np.maximum(distance**2 - height**2, 0.0))
         turn = np.arctan2(arrow[1], arrow[0]) + np.append(0.0, rng.uniform(-np.pi, np.pi, _PLACES - 1))
         some = room.place + np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
-        closed, clearance = closedness(room.scene, some, 64, 8)
         others = np.vstack([room.place[None], np.delete(mouths, s, axis=0)])
         near = np.linalg.norm(some[:, None] - others[None], axis=2).min(axis=1)
-        free = (closed > 0.99) & (clearance > _MARGIN) & (near >= _LEAST) & (np.abs(height) <= distance)
+        free = _are_free(room.scene, some) & (near >= _LEAST) & (np.abs(height) <= distance)
         free[0] &= np.isfinite(off)
         if not free.any():
             return None

@@ -162,11 +162,9 @@ def _sum_windows(
 
 @part
 def _fit_decay(plan: DenoisePlan, fitted: int, work: _Work) -> None:
-    """The decay f that has the energies of a pair's windows, to `work.decay`."""
+    """The decay f that has the energies of a pair's windows, to `work.decay`; its base are the widths of bins."""
     windows, curves = work.windows, work.curves
     low, high = windows.wide[0], windows.wide[fitted]
-    for t in range(low, high):
-        curves.base[t] = plan.edges[t + 1] - plan.edges[t]
     for b in range(work.decay.shape[1]):
         fit_curve(windows.wide[: fitted + 1], windows.sums[:fitted, b], plan.edges, True, curves)
         for t in range(low, high):
@@ -335,6 +333,8 @@ def _smooth_pair(
     count, fitted = cut_windows(plan, onset, split - plan.first, work.windows)
     _find_noise(row, difference, error, window, work)
     _sum_windows(row, work.noise, plan.first, count, fitted, work.windows)
+    for t in range(work.windows.wide[0], work.windows.wide[fitted]):
+        work.curves.base[t] = plan.edges[t + 1] - plan.edges[t]
     pool_windows(work.windows, plan.edges, split - plan.first, count, fitted, work.groups, work.curves)
     _fit_decay(plan, fitted, work)
     for k in range(len(plan.levels)):

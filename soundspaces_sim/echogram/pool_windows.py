@@ -142,12 +142,10 @@ def pool_windows(
     curves: CurveScratch,
 ) -> None:
     """Spread what rises in a pair's windows without being known, from bin `split` on. `count`, `fitted`: as
-    `cut_windows` has them; `edges` (bins + 1,) s."""
+    `cut_windows` has them; `edges` (bins + 1,) s, whose differences are the base of `curves`."""
     first = 0
     while first < fitted and windows.wide[first] < split:
         first += 1
-    for t in range(windows.wide[0], windows.wide[fitted]):
-        curves.base[t] = edges[t + 1] - edges[t]
     for b in range(windows.energy.shape[1]):
         found = _pool(windows, edges, fitted, first, b, groups, curves)
         for g in range(found):

@@ -24,7 +24,7 @@ from soundspaces_sim.scene.materials import FREE, MaterialTable, pass_absorption
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
 from soundspaces_sim.scene.rays.geometry import Geometry, before, intersect, lifted
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import pieces_of, welded_faces
+from soundspaces_sim.scene.triangles import pieces_of, points_on, welded_faces
 
 _SAMPLES = 256  # per piece and side
 _BOUNCES = 8
@@ -123,10 +123,7 @@ def _hanging_free(scene: Scene, faces: np.ndarray) -> np.ndarray:
         owner.append(np.full(_SAMPLES, p))
         face.append(own[rng.choice(len(own), _SAMPLES, p=share / share.sum())])
     of, at = np.concatenate(owner), np.concatenate(face)
-    u = np.sqrt(rng.uniform(size=(len(at), 1)))
-    v = rng.uniform(size=(len(at), 1))
-    a, b, c = corners[at].transpose(1, 0, 2)
-    start = (1.0 - u) * a + u * (1.0 - v) * b + u * v * c
+    start = points_on(corners[at], *rng.uniform(size=(2, len(at))))
     away = np.zeros((len(at), 2), np.bool_)
     boxes = Boxes(low[of] - _AROUND, high[of] + _AROUND)
     over_rows(_walk_away, len(at), scene.geometry, start, faces[at], boxes, away)

@@ -20,7 +20,7 @@ from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
 from soundspaces_sim.scene.heightfield import Cells, too_large
 from soundspaces_sim.scene.rays.diffuse_walk import drop
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import boxes
+from soundspaces_sim.scene.triangles import boxes, points_on
 from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours
 
 _SLAB = 0.1  # m
@@ -134,7 +134,8 @@ def _levels(scene: Scene, height: float) -> list[_Level]:
         if found and floor < found[-1].height + height:
             continue
         chosen = rng.choice(members, _SAMPLES, p=area / area.sum())
-        points = _points_on(scene.corners[chosen], rng)
+        u, v = rng.random((2, len(chosen)))
+        points = points_on(scene.corners[chosen], u, v)
         points[:, 2] = floor + height
         below = drop(scene.geometry, points - scene.center) + scene.center[2]
         seen = np.abs(below - floor) < 0.5 * _SLAB
@@ -149,15 +150,6 @@ def _levels(scene: Scene, height: float) -> list[_Level]:
         sheet = bool((under < floor - _THICK).mean() > 0.5)
         found.append(_Level(floor, float(area.sum() * seen.mean()), faces, sheet, indoors))
     return found
-
-
-def _points_on(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(N, 3) m, one spread evenly over each of the triangles (N, 3, 3)."""
-    u, v = np.sqrt(rng.random((len(corners), 1))), rng.random((len(corners), 1))
-    points: np.ndarray = (
-        corners[:, 0] * (1 - u) + corners[:, 1] * (u * (1 - v)) + corners[:, 2] * (u * v)
-    )
-    return points
 
 
 def find_ground(scene: Scene, height: float) -> Ground | None:

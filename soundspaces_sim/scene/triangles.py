@@ -59,6 +59,13 @@ def middles(corners: np.ndarray) -> np.ndarray:
     return _filled(_middles, corners, np.empty((len(corners), 3)))
 
 
+def points_on(corners: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(N, 3) m, one on each of the triangles (N, 3, 3), spread evenly where `u` and `v` (N,) are, from 0 to 1."""
+    root, v = np.sqrt(u)[:, None], v[:, None]
+    a, b, c = corners.transpose(1, 0, 2)
+    return np.asarray((1.0 - root) * a + (root * (1.0 - v)) * b + (root * v) * c)
+
+
 def corners_of(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(F, 3, 3) `vertices[faces]`, in a third of its time."""
     return taken(vertices, faces.ravel()).reshape(*faces.shape, 3)

@@ -15,6 +15,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere, stratified_pair
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, lifted
+from soundspaces_sim.scene.triangles import points_on
 from soundspaces_sim.transport.radiance_transfer.patches import PATCH_SIZE
 
 _RAYS = 4096
@@ -46,9 +47,7 @@ def patch_size(geometry: Geometry, corners: np.ndarray, areas: np.ndarray) -> fl
     at = (np.arange(_RAYS) + 0.5) / _RAYS * upto[-1]
     triangle = np.minimum(np.searchsorted(upto, at, "right"), len(upto) - 1)
     u, v = np.modf(np.arange(1, _RAYS + 1)[:, None] * np.array([math.sqrt(2.0), math.sqrt(3.0)]))[0].T
-    u = np.sqrt(u)
-    a, b, c = corners[triangle].transpose(1, 0, 2)
-    places = (1.0 - u)[:, None] * a + (u * (1.0 - v))[:, None] * b + (u * v)[:, None] * c
+    places = points_on(corners[triangle], u, v)
     ways = np.empty((_RAYS, 2))
     over_rows(_measure_ways, _RAYS, geometry, triangle, places, ways, least=_RAYS)
     met = ways[np.isfinite(ways)]
