@@ -1,4 +1,4 @@
-"""The seed paper's way from energy to pressure, step by step, flaws included (docs/rendering.md).
+"""The seed paper's way from energy to pressure, step by step, flaws included (docs/responses.md).
 
 SoundSpaces (Chen et al. 2020, "Acoustic simulation technique"): square roots of the energy histogram are
 envelopes of band-passed white noise, summed over bands to one monaural response; ambisonics are that

@@ -1,5 +1,5 @@
 """What a response has before its first sound: of arrivals their interpolation, of reverberation the ringing of
-filters without phase, as large as docs/rendering.md states."""
+filters without phase, as large as docs/responses.md states."""
 
 from __future__ import annotations
 
