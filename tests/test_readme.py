@@ -112,12 +112,12 @@ def run_block(code: str) -> None:
 
 @pytest.mark.parametrize(("page", "number"), BLOCKS)
 def test_documentation_runs(
-    page: str, number: int, walls: Path, monkeypatch: pytest.MonkeyPatch
+    page: str, number: int, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code = blocks_of(DOCS / page)[number]
     if re.search(r"^(?:import|from) \S*torch", code, re.MULTILINE):
         pytest.importorskip("torch", reason="the extra `torch` is not installed")
-    monkeypatch.chdir(walls)
+    monkeypatch.chdir(request.getfixturevalue("waves" if "out/waves" in code else "walls"))
     run_block(code)
 
 
@@ -194,9 +194,7 @@ def test_the_readme_runs_prints_what_it_shows_and_left_is_left(
     assert run_page(ROOT / "README.md") == 1
     (shown,) = re.findall(r"  # (0°: .*)", (ROOT / "README.md").read_text("utf-8"))
     printed = capsys.readouterr().out.strip().splitlines()
-    assert [re.sub(r"\d+ dB", "# dB", x) for x in printed] == re.sub(r"\d+ dB", "# dB", shown).split(
-        ", "
-    )
+    assert re.sub(r"\d+ dB", "# dB", ", ".join(printed)) == re.sub(r"\d+ dB", "# dB", shown)
     ds = ss.open_dataset("out/demo")
     offset = ds.points[3] - ds.points[0]
     np.testing.assert_allclose(offset, [0.0, 3.0, 0.0], atol=1e-6)
@@ -248,6 +246,24 @@ def walls(demo: Path) -> Path:
     scene = ss.load_scene("demo")
     ss.build_dataset(scene, demo / "out" / "walls", config, points=ss.make_grid(scene, 1.0).points[:6])
     return demo
+
+
+@pytest.fixture(scope="module")
+def waves(walls: Path) -> Path:
+    """The folder of `walls` with out/waves/demo in it, of waves below 90 Hz."""
+    config = ss.JobConfig(
+        simulation=ss.SimulationConfig(
+            walks=64,
+            connections=ss.ConnectionsConfig(subpaths=8),
+            duration=0.2,
+            radiance_transfer=ss.RadianceTransferConfig(enabled=False),
+            diffraction=ss.DiffractionConfig(enabled=False),
+            low=ss.LowConfig(method="waves", edge=90.0),
+        )
+    )
+    scene = ss.load_scene("demo")
+    ss.build_dataset(scene, walls / "out" / "waves", config, points=ss.make_grid(scene, 1.0).points[:4])
+    return walls
 
 
 @pytest.mark.parametrize("cell", _is("ss.", "ds.", "Torch", "gymnasium."))
