@@ -121,6 +121,39 @@ def test_documentation_runs(
     run_block(code)
 
 
+_TOML = [
+    (p.relative_to(DOCS).as_posix(), k)
+    for p in sorted(DOCS.rglob("*.md"))
+    for k in range(len(blocks_of(p, "toml")))
+]
+
+
+@pytest.mark.parametrize(("page", "number"), _TOML)
+def test_toml_of_a_page_is_read(page: str, number: int, tmp_path: Path) -> None:
+    """As settings of a job or, where it has materials, by both options that take such a file."""
+    text = blocks_of(DOCS / page, "toml")[number]
+    file = tmp_path / "mine.toml"
+    file.write_text(text, "utf-8")
+    if "[materials." not in text:
+        assert ss.load_config(file) != ss.JobConfig()
+        return
+    trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]).export(tmp_path / "room.obj")
+    scene = ss.load_scene(tmp_path / "room.obj", materials=file, labels=file)
+    (name,) = re.findall(r"\[materials\.(.*)\]", text)
+    assert name in scene.materials.names
+
+
+def test_the_list_of_rooms_of_the_quickstart_is_simulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (text,) = blocks_of(DOCS / "quickstart.md", "text")
+    Path("list.jsonl").write_text(text, "utf-8")
+    done = CliRunner().invoke(app, ["rooms", "list.jsonl", "--out", "rooms", "--jobs", "1"])
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert len(ss.read_room("rooms/r1.h5")) == 1 and Path("rooms/r2.h5").is_file()
+
+
 @pytest.mark.parametrize("page", USE, ids=lambda p: p.stem)
 def test_code_is_in_blocks_that_are_run(page: Path) -> None:
     """None of it is merely indented, which nothing runs."""
