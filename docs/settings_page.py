@@ -35,22 +35,24 @@ def _is_record(kind: Any) -> bool:
 
 
 def _table(record: type[Settings]) -> str:
-    notes = _comments(record)
+    intro, meanings = _meanings(record)
     rows = [
-        f"| `{field.name}` | {_value(field.default)} | {_kind(field.type)} | {notes.get(field.name, '')} |"
+        f"| `{field.name}` | {_value(field.default)} | {_kind(field.type)} | {meanings[field.name]} |"
         for field in msgspec.structs.fields(record)
         if not _is_record(field.type)
     ]
-    text = inspect.cleandoc(record.__doc__ or "").replace("``", "`")
-    text = re.sub(r"(?<!\n)\n(?=`\w+`:)", "\n\n", text)  # a paragraph for each setting
-    head = ["| setting | default | type | note |", "|---|---|---|---|"]
-    return "\n".join([f"## `[{record.stage}]`", "", text, "", *head, *rows, ""])
+    head = ["| setting | default | type | meaning |", "|---|---|---|---|"]
+    return "\n".join([f"## `[{record.stage}]`", "", intro, "", *head, *rows, ""])
 
 
-def _comments(record: type) -> dict[str, str]:
-    """What stands beside the settings of a record in its source: units and symbols."""
-    found = re.findall(r"^    (\w+): [^#\n]*  # (.+)$", inspect.getsource(record), re.MULTILINE)
-    return {name: text.replace("|", "\\|") for name, text in found}
+def _meanings(record: type[Settings]) -> tuple[str, dict[str, str]]:
+    """What a record's docstring says of all of it, and of each setting: "`name`: meaning.\""""
+    text = " ".join(inspect.cleandoc(record.__doc__ or "").replace("``", "`").split())
+    intro, *parts = re.split(r"(?:^|(?<=\. )|(?<=\.\) ))`(\w+)`: ", text)
+    return intro.strip(), {
+        name: said.strip().rstrip(".").replace("|", "\\|")
+        for name, said in zip(parts[::2], parts[1::2], strict=True)
+    }
 
 
 def _value(default: Any) -> str:

@@ -18,6 +18,8 @@ def test_the_page_of_settings_has_every_setting() -> None:
     text = settings_tables()
     for table in ("grid", "graph", "simulation", "simulation.specular", "simulation.low", "dataset"):
         assert f"## `[{table}]`" in text
+    rows = [row.split(" | ") for row in text.splitlines() if row.startswith("| `")]
+    assert len(rows) > 50 and all(row[3].rstrip(" |") for row in rows)  # what each means
     assert "| `walks` | not set | whole number |" in text and '| `reflection` | `"random"` |' in text
 
 

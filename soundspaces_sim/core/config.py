@@ -32,11 +32,13 @@ def check_rate(rate: float, name: str = "rate") -> int:
 class GridConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Placement and pruning of points (seed paper, "Grid construction").
 
-    `reachable`: also prune points to which no sound gets from a place to stand (see `layout.reachability`); false
-    keeps the paper's rule alone. `standing`: keep only points at which an agent can stand, the nodes of the
-    navigation graph: no pair then leads to a point above a table, to which no agent walks. `follow_floor`: `height`
-    is above the floor under each point, on slopes, steps, stages and balconies (see `layout.grid`); false is the
-    paper's flat slice, above one height per storey.
+    `spacing`: distance of neighbouring points, m. `height`: of the points above the floor, m. `rays`: that leave a
+    point to tell how closed its surroundings are. `bounces`: of each of these rays. `min_closedness`: least share
+    of bounces that rays make without escaping; 0.1 for scenes with patios. `min_distance`: from a point to the
+    nearest surface, m. `reachable`: also prune points to which no sound gets from a place to stand; false keeps the
+    paper's rule alone. `standing`: keep only points at which an agent can stand, so that no pair leads to a point
+    above a table. `follow_floor`: points stand above the floor under each, on slopes, steps, stages and balconies;
+    false is the paper's flat slice, above one height per storey.
     """
 
     stage: ClassVar[str] = "grid"
@@ -62,8 +64,11 @@ class GridConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class GraphConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The agent that walks between points: its `radius`, its `height`, the highest `step` it takes; and
-    the size of the cells in which the floor is looked at, m."""
+    """The agent that walks between points.
+
+    `radius`: of the agent, m. `height`: of the agent, m. `step`: the highest that it takes, m. `cell`: size of the
+    cells in which the floor is looked at, m.
+    """
 
     stage: ClassVar[str] = "graph"
     radius: float = 0.1
@@ -83,13 +88,14 @@ class GraphConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class DatasetConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is stored, and what the reader makes of it.
 
-    `rate`: Hz; of stored waveforms, and the reader's default. `tile`: points per side of a tile.
-    `renderer`: how energy becomes pressure, a name of `rendering.renderers` (``default``, ``smooth``, ``paper``).
-    `store`: ``echogram`` (a few kB per pair, from which any waveform is made on reading), ``waveform``,
-    or ``both``. Of stored waveforms: `headings` in degrees for binaural responses beside the ambisonic
-    one; `sample_format` ``int16`` (with a scale per response) or ``float32``.
-    `licence`, `citation`: of the data, as its maker wishes; every file carries them. `author` (whom to ask, a name
-    and an address), `organization`: of who made it; exports carry them.
+    `rate`: of stored waveforms, and the reader's default, Hz. `seed`: of the simulation and of the noise in
+    responses. `tile`: points per side of a tile; not set, it follows from the memory. `renderer`: how energy
+    becomes pressure: ``default``, ``smooth`` or ``paper``. `store`: ``echogram`` (a few kB per pair, from which
+    any waveform is made on reading), ``waveform``, or ``both``. `headings`: of stored binaural responses, which
+    stand beside the ambisonic one, degrees. `sample_format`: of stored waveforms; ``int16`` has a scale per
+    response. `licence`: of the data; every file carries it. `author`: whom to ask, a name and an address;
+    exports carry it. `organization`: of the author; exports carry it. `citation`: what is to be cited; every
+    file carries it.
     """
 
     stage: ClassVar[str] = "dataset"

@@ -78,7 +78,9 @@ _MOST_STEPS = 10_000_000  # of the first width, in an echogram
 
 
 class SpecularConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Subpaths that follow specular reflections alone: `ratio` times as many as `simulation.walks`."""
+    """Subpaths that follow specular reflections alone.
+
+    `ratio`: how many times as many of them there are as `simulation.walks`."""
 
     stage: ClassVar[str] = "simulation.specular"
     ratio: int = 4
@@ -88,8 +90,10 @@ class SpecularConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class ConnectionsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Vertex connection: the first `subpaths` of a point's subpaths (all, if there are fewer) are connected to
-    the partner's, each vertex to another, for paths up to `window` seconds."""
+    """Vertex connection: vertices of subpaths from both ends are connected.
+
+    `subpaths`: how many of a point's subpaths are connected to the partner's, each vertex to another; all, if there
+    are fewer. `window`: length of the paths that are made so, at most, s."""
 
     stage: ClassVar[str] = "simulation.connections"
     subpaths: int = 64
@@ -102,8 +106,10 @@ class ConnectionsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class ReceiverVolumesConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Spheres about the points in which subpaths are detected: of radius `radius_min` + `radius_growth` times the
-    path's length, at most `radius_max`."""
+    """Spheres about the points, in which subpaths are detected.
+
+    `radius_min`: of a path without length, m. `radius_growth`: by which the radius grows with the path's length,
+    m/m. `radius_max`: at most, m."""
 
     stage: ClassVar[str] = "simulation.receiver_volumes"
     radius_min: float = 0.1  # m
@@ -123,13 +129,14 @@ class ReceiverVolumesConfig(Settings, frozen=True, kw_only=True, forbid_unknown_
 
 
 class RadianceTransferConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Acoustic radiance transfer: scattered paths longer than the connections' window are put together on patches
-    of surface, between which sound travels alike for all points. Far less noise, but energy that arrives on a patch
-    counts as even over it. Subpaths then end with the window, and there are four times as many.
+    """Acoustic radiance transfer: scattered paths longer than the connections' window are put together on
+    patches of surface, between which sound travels alike for all points. Far less noise, but energy that
+    arrives on a patch counts as even over it.
 
-    `subpaths`: from patch to patch, that all points of a job have in common (``shared``) or that each point has for
-    itself (``own``): less work where points are few; ``auto`` takes what is less for a job's points. None is
-    ``shared`` in datasets, and ``auto`` in single simulations that have no number of `simulation.walks`."""
+    `enabled`: if so, subpaths end with the window, and there are four times as many. `subpaths`: from patch to
+    patch, that all points of a job have in common (``shared``) or that each point has for itself (``own``):
+    less work where points are few; ``auto`` takes what is less for a job's points. Not set, it is ``shared`` in
+    datasets, and ``auto`` in single simulations that have no number of `simulation.walks`."""
 
     stage: ClassVar[str] = "simulation.radiance_transfer"
     enabled: bool = True
@@ -137,15 +144,20 @@ class RadianceTransferConfig(Settings, frozen=True, kw_only=True, forbid_unknown
 
 
 class DiffractionConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Diffraction at the edges of surfaces, rigid, one or two of them."""
+    """Diffraction at the edges of surfaces.
+
+    `enabled`: ways round one or two edges, which are taken as rigid."""
 
     stage: ClassVar[str] = "simulation.diffraction"
     enabled: bool = True
 
 
 class MaterialsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Counts of reflections, so that other absorption can be chosen on reading (`open_dataset(…, materials=…)`), by
-    each of the `groups` materials that sound meets most often."""
+    """Counts of reflections, so that other absorption can be chosen on reading (`open_dataset(…,
+    materials=…)`).
+
+    `enabled`: whether they are made. `groups`: how many materials are counted, those that sound meets most
+    often."""
 
     stage: ClassVar[str] = "simulation.materials"
     enabled: bool = False
@@ -156,12 +168,13 @@ class MaterialsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class LowConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Sound below `edge` Hz (None: the first band's): by ``rays`` as all else, or as ``waves``, which have the
-    modes of rooms (docs/waves.md): one run of a finite-difference solver per point. Energies stay as they are;
-    renderers take the waves below the edge.
+    """Sound below the lowest bands' edge: by rays as all else, or as waves, which have the modes of rooms
+    (docs/waves.md). Energies stay as they are; renderers take the waves below the edge.
 
-    `cells_per_wavelength`: of the lattice, at the edge. `reactance`: a table of absorption does not tell the phase
-    of an impedance; this is Im/Re that every wall has beside what its table asks for (negative: stiffness)."""
+    `method`: ``waves`` runs a finite-difference solver once per point. `edge`: below which waves are simulated,
+    Hz; not set, the first band's. `cells_per_wavelength`: of the lattice, at the edge. `reactance`: a table of
+    absorption does not tell the phase of an impedance; this is Im/Re that every wall has beside what its table
+    asks for (negative: stiffness)."""
 
     stage: ClassVar[str] = "simulation.low"
     method: Literal["rays", "waves"] = "rays"
@@ -181,20 +194,24 @@ class LowConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the tracer.
 
-    `bands`: B + 1 edges in Hz. `walks`: subpaths per point (rounded up to a multiple of 16). `target_error`: the
-    relative standard error of early and late energy, in every band, that is wanted instead: subpaths are added in
-    rounds until a pair's error bars are below it, or `max_walks` per point are spent; rounds grow, or have `walks`
-    each if both are given. With neither, datasets take 3,000 subpaths, and single simulations (`simulate`,
-    `simulate_many`, rooms, streams) an error of 0.05, and 4,096 subpaths at most. `denoise`: late
-    bins are averaged as far as noise hides their course (`echogram.denoise`); false keeps them raw.
-    `porous_layers`: free-hanging curtains and the like let sound pass (`scene.porous_layers`); false takes both
-    their faces as mounted on a wall. `reflection`: of materials without a law of their own: ``random``, as at
-    random incidence at every angle, or ``angle``, as a locally reacting wall of that absorption at random
-    incidence (`transport.bsdf.impedance`). `scattering`: ``size`` adds to the materials' scattering the
-    diffraction of surfaces of finite size (`transport.bsdf.finite_size`); ``table`` is the materials' alone.
-    `max_bounces`: reflections after which a subpath ends; sound that is still loud there is lost, so it is far
-    more than a live room needs within `max_duration` (the seed paper has 200). `duration`: length of echograms in
-    s; None measures it (energy down by `decay_range_db`).
+    `bands`: B + 1 edges, Hz. `walks`: subpaths per point (rounded up to a multiple of 16); not set, datasets
+    take 3,000, and single simulations (`simulate`, `simulate_many`, rooms, streams) as many as `target_error`
+    needs. `target_error`: the relative standard error of early and late energy, in every band, that is wanted
+    instead: subpaths are added in rounds until a pair's error bars are below it, or `max_walks` per point are
+    spent; rounds grow, or have `walks` each if both are given. Not set, single simulations take 0.05.
+    `max_walks`: subpaths per point that `target_error` spends at most; 4,096 in single simulations without a
+    config. `denoise`: late bins are averaged as far as noise hides their course; false keeps them raw.
+    `porous_layers`: free-hanging curtains and the like let sound pass; false takes both their faces as mounted
+    on a wall. `reflection`: of materials without a law of their own: ``random``, as at random incidence at
+    every angle, or ``angle``, as a locally reacting wall of that absorption at random incidence. `scattering`:
+    ``size`` adds to the materials' scattering the diffraction of surfaces of finite size; ``table`` is the
+    materials' alone. `max_bounces`: reflections after which a subpath ends; sound that is still loud there is
+    lost, so it is far more than a live room needs within `max_duration` (the seed paper has 200). `duration`:
+    length of echograms, s; not set, it is measured (energy down by `decay_range_db`). `max_duration`: of a
+    measured length, at most, s. `decay_range_db`: by which energy falls within a measured length, dB.
+    `time_grid`: pairs of a time and the width of the bins from there on, s. `speed_of_sound`: m/s; not set, it
+    follows from the temperature. `air_absorption`: as ISO 9613-1 has it. `temperature_c`: of the air, °C.
+    `humidity_percent`: relative, %. `pressure_kpa`: of the air, kPa.
     """
 
     stage: ClassVar[str] = "simulation"
