@@ -22,12 +22,15 @@ _FORMULA = re.compile(
 )  # as pymdownx.arithmatex leaves it
 _TAG = re.compile(r"\s*\\tag\{(\w+)\}")
 _PAGE = re.compile(r'href="([^":#]+)\.md(#[^"]*)?"')
+_WIDE = ("comparison.md",)  # pages whose tables take the room of the table of contents
 _CITED = re.compile(r"\((T\d+)\)")
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Diagrams become pictures, without a script from elsewhere; links out of docs/ become their text; pages get
     what the program makes for them: tables of settings and fields, the gallery's figures and their code."""
+    if page.file.src_uri in _WIDE:
+        page.meta["hide"] = ["toc"]
     text = markdown
     for mark, made in _MADE.items():
         if mark in text:
