@@ -29,7 +29,7 @@ _CITED = re.compile(r"\((T\d+)\)")
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Diagrams become pictures, without a script from elsewhere; links out of docs/ become their text; pages get
     what the program makes for them: tables of settings and fields, the gallery's figures and their code."""
-    if page.file.src_uri in _WIDE:
+    if Path(page.file.abs_src_path).name in _WIDE:
         page.meta["hide"] = ["toc"]
     text = markdown
     for mark, made in _MADE.items():
