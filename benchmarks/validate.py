@@ -66,14 +66,15 @@ def studio(walks: int = _WALKS) -> str:
     names = {"T30": "T30", "EDT": "EDT", "C": "C80", "D": "D50"}
     rows: list[tuple[object, ...]] = []
     by_band: list[tuple[object, ...]] = []
-    bare: dict[str, Any] = {"diffraction": False, "scattering": "table"}
+    random: dict[str, Any] = {"reflection": "random"}
+    bare = random | {"diffraction": False, "scattering": "table"}
     for label, settings in (
         ("neither", {**bare, "porous_layers": False}),
         ("porous layers", bare),
-        ("porous layers and diffraction", {"scattering": "table"}),
-        ("porous layers, diffraction, scattering by size (default)", {}),
-        ("reflection by angle, scattering of the table", {"scattering": "table", "reflection": "angle"}),
-        ("reflection by angle, scattering by size", {"reflection": "angle"}),
+        ("porous layers and diffraction", random | {"scattering": "table"}),
+        ("porous layers, diffraction, scattering by size", random),
+        ("reflection by angle, scattering of the table", {"scattering": "table"}),
+        ("reflection by angle, scattering by size (default)", {}),
     ):
         found = [ptb_studio.differences(state, walks, **settings) for state in ("open", "closed")]
         for state, one in zip(("open", "closed"), found, strict=True):
@@ -192,13 +193,16 @@ def sizes(walks: int = _WALKS) -> str:
 
 
 def laws(walks: int = _WALKS) -> str:
-    """Every room by which materials react locally: none, the porous ones, all."""
+    """Every room by which materials absorb by angle: none, the porous ones, all."""
     return _over_seeds(
         walks,
         (
-            ("none locally (default), ", {}),
-            ("porous ones locally, ", {"change": reflection_laws.with_local_reaction}),
-            ("all locally, ", {"reflection": "angle"}),
+            ("at random incidence, ", {"reflection": "random"}),
+            (
+                "porous ones by angle, ",
+                {"change": reflection_laws.with_local_reaction, "reflection": "random"},
+            ),
+            ("by angle (default), ", {}),
         ),
     )
 

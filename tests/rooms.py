@@ -73,10 +73,10 @@ def two_rooms(
 
 
 def plain(**settings: object) -> ss.SimulationConfig:
-    """A config without air absorption, diffraction, and scattering by size, which closed forms and other tracers
-    lack, and with bins that are unbiased."""
+    """A config without air absorption, diffraction, scattering by size, and absorption by angle, which closed forms
+    and other tracers lack, and with bins that are unbiased."""
     without = {"air_absorption": False, "diffraction": False, "scattering": "table", "denoise": False}
-    return ss.SimulationConfig(**{**without, **settings})  # type: ignore[arg-type]
+    return ss.SimulationConfig(**{**without, "reflection": "random", **settings})  # type: ignore[arg-type]
 
 
 def edges_alone(**settings: object) -> ss.SimulationConfig:

@@ -202,8 +202,9 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     `max_walks`: subpaths per point that `target_error` spends at most; 4,096 in single simulations without a
     config. `denoise`: late bins are averaged as far as noise hides their course; false keeps them raw.
     `porous_layers`: free-hanging curtains and the like let sound pass; false takes both their faces as mounted
-    on a wall. `reflection`: of materials without a law of their own: ``random``, as at random incidence at
-    every angle, or ``angle``, as a locally reacting wall of that absorption at random incidence. `scattering`:
+    on a wall. `reflection`: of materials without a law of their own: ``angle``, as a locally reacting wall of
+    that absorption at random incidence, or ``random``, as at random incidence at every angle; not set, it is
+    ``angle``, but ``random`` where reflections are counted, as counts tell other absorption only so. `scattering`:
     ``size`` adds to the materials' scattering the diffraction of surfaces of finite size; ``table`` is the
     materials' alone. `max_bounces`: reflections after which a subpath ends; sound that is still loud there is
     lost, so it is far more than a live room needs within `max_duration` (the seed paper has 200). `duration`:
@@ -226,7 +227,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     low: LowConfig = LowConfig()
     denoise: bool = True
     porous_layers: bool = True
-    reflection: LawName = "random"
+    reflection: LawName | None = None
     scattering: Literal["table", "size"] = "size"
     max_bounces: int = 10_000
     target_error: float | None = None
@@ -299,6 +300,11 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
         return speed_of_sound(self.temperature_c)
 
     @property
+    def law(self) -> LawName:
+        """`reflection`, or what it is where it is None."""
+        return self.reflection or ("random" if self.materials.enabled else "angle")
+
+    @property
     def air(self) -> Air | None:
         """The air that absorbs sound; None if none does. A band keeps the mean over its frequencies (ISO 9613-1),
         and renderers put back the course within it."""
@@ -313,7 +319,9 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def of_dataset(config: SimulationConfig) -> SimulationConfig:
-    """The same with a fixed number of subpaths, where it has neither that nor an error."""
+    """The same with a law of reflection, and with a fixed number of subpaths where it has neither that nor an
+    error."""
+    config = msgspec.structs.replace(config, reflection=config.law)
     if config.walks is None and config.target_error is None:
         config = msgspec.structs.replace(config, walks=DEFAULT_WALKS)
     return config if config.radiance_transfer.subpaths is not None else _with_subpaths(config, "shared")
@@ -324,6 +332,7 @@ def of_simulation(config: SimulationConfig) -> SimulationConfig:
     are not averaged over rounds: with these the number is that of datasets."""
     if config.walks is not None or config.materials.enabled:
         return of_dataset(config)
+    config = msgspec.structs.replace(config, reflection=config.law)
     if config.target_error is None:
         config = msgspec.structs.replace(
             config, target_error=DEFAULT_ERROR, max_walks=min(config.max_walks, _MOST_BY_DEFAULT)

@@ -65,7 +65,7 @@ def parts_used(config: JobConfig) -> list[str]:
         "path tracing": True,
         "radiance transfer": simulation.radiance_transfer.enabled,
         "diffraction": simulation.diffraction.enabled,
-        "locally reacting walls": simulation.reflection == "angle",
+        "locally reacting walls": simulation.law == "angle",
         "scattering by size": simulation.scattering == "size",
         "air": simulation.air_absorption,
         "error bars": True,

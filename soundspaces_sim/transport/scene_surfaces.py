@@ -46,7 +46,7 @@ def scene_surfaces(
     """How the surfaces of a scene answer under this config, and the (F, 2) rows of each face, in front of
     and behind its stored normal. `by_size`: of `scattered_by_size`; `groups`: whose reflections are counted."""
     table, kinds = scene.materials, _kinds(scene, config, by_size)
-    law, free = law_rows(table.reflection, config.reflection), table.free_hanging
+    law, free = law_rows(table.reflection, config.law), table.free_hanging
     group = None if groups is None else group_of_material(scene, groups)
     return make_surfaces(
         kinds.absorption,

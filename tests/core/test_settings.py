@@ -9,7 +9,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import as_config
 from soundspaces_sim.core.numerics.reflection_laws import REFLECTION_LAWS
-from soundspaces_sim.core.simulation_config import without_constants
+from soundspaces_sim.core.simulation_config import of_simulation, without_constants
 
 
 def test_tables_and_switches() -> None:
@@ -17,6 +17,7 @@ def test_tables_and_switches() -> None:
     config = as_config({"simulation": raw}).simulation
     assert config == ss.SimulationConfig(
         walks=64,
+        reflection="angle",
         radiance_transfer=ss.RadianceTransferConfig(subpaths="shared"),
         diffraction=ss.DiffractionConfig(enabled=False),
         connections=ss.ConnectionsConfig(subpaths=8, window=0.03),
@@ -41,6 +42,16 @@ def test_a_choice_is_checked_in_python_too(given: dict[str, Any], message: str) 
         ss.SimulationConfig(**given)
     with pytest.raises(ss.ConfigError, match=next(iter(given))):
         as_config({"simulation": given})
+
+
+@pytest.mark.parametrize(("counted", "law"), [(False, "angle"), (True, "random")])
+def test_surfaces_absorb_by_angle_unless_reflections_are_counted(counted: bool, law: str) -> None:
+    config = ss.SimulationConfig(materials=ss.MaterialsConfig(enabled=counted))
+    assert config.law == law and of_simulation(config).reflection == law
+    assert ss.JobConfig(simulation=config).simulation.reflection == law
+    for own in REFLECTION_LAWS:
+        asked = ss.SimulationConfig(materials=config.materials, reflection=own)
+        assert asked.law == of_simulation(asked).reflection == own
 
 
 @pytest.mark.parametrize("law", REFLECTION_LAWS)

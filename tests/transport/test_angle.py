@@ -200,12 +200,14 @@ def test_a_material_may_decide_for_itself() -> None:
     own, p, q = table(0.4, 0.0), [0.0, 0.0, 1.0], [4.0, 0.0, 1.0]
     angle, random = (replace(own, reflection=(word,)) for word in ("angle", "random"))
 
-    def level(materials: ss.MaterialTable, job: str) -> float:
-        config = plain(walks=16, duration=0.1, reflection=job)
+    def level(materials: ss.MaterialTable, job: str | None, counted: bool = False) -> float:
+        config = plain(walks=16, duration=0.1, reflection=job, materials=counted)
         return float(ss.simulate(plane(200.0, materials), [p], [q], config)[0, 0].arrivals[1].energy[0])
 
     assert level(own, "random") == level(random, "angle") == level(random, "random")
     assert level(own, "angle") == level(angle, "random") != level(own, "random")
+    assert level(own, None) == level(own, "angle") == level(angle, None, counted=True)
+    assert level(own, None, counted=True) == level(own, "random", counted=True) == level(own, "random")
     assert plane(1.0, own).digest != plane(1.0, angle).digest != plane(1.0, random).digest
     with pytest.raises(ss.MaterialError, match=r"'m0'.*'angle' or 'random'.*'oblique'"):
         replace(own, reflection=("oblique",))
