@@ -57,6 +57,7 @@ def small_job(**dataset: object) -> ss.JobConfig:
             walks=64,
             connections=ss.ConnectionsConfig(subpaths=8),
             duration=0.2,
+            reflection="random",  # so few subpaths know reverberation times better
             radiance_transfer=ss.RadianceTransferConfig(enabled=False),
         ),
         dataset=type(ss.JobConfig().dataset)(**{"tile": 4, "rate": 16000, **dataset}),  # type: ignore[arg-type]

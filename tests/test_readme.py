@@ -84,7 +84,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
         simulation=ss.SimulationConfig(
-            walks=64,
+            walks=400,
             connections=ss.ConnectionsConfig(subpaths=8),
             duration=0.3,
             radiance_transfer=ss.RadianceTransferConfig(enabled=False),

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
+import msgspec
 import numpy as np
 from scipy.signal import oaconvolve
 
@@ -240,6 +241,7 @@ class RoomStream:
     for each room (``t30_wanted``). Reflection coefficients of all surfaces are raised to one power
     (``reflection_power``), under Eyring's formula the inverse of the factor to T30, until the simulated T30 is
     within 10 % of what is wanted; rooms that do not get there are drawn anew. The label ``t30`` says what came out.
+    Surfaces then absorb at random incidence, as in that formula, unless `config` names another law.
 
     `drr`: least and most, dB, of every talker's ratio of direct to reverberant sound (up to 2.5 ms and later, mean
     of the same bands), drawn evenly for each (``drr_wanted``, (S,)). Talkers move (twice as far is 6 dB less where
@@ -280,7 +282,10 @@ class RoomStream:
         if seed < 0:
             raise ConfigError(f"seed: expected 0 or more, got {seed}")
         self.rate, self.seed, self.count, self.shard = check_rate(rate), seed, count, shard
-        self.config = of_simulation(config or SimulationConfig())
+        config = config or SimulationConfig()
+        if t30 is not None and config.reflection is None:
+            config = msgspec.structs.replace(config, reflection="random")  # as in Eyring's formula
+        self.config = of_simulation(config)
         self.kinds, self.sources, self.microphones = tuple(kinds), sources, microphones
         self.seconds, self.snr_db = seconds, snr_db
         self.speech = speech if speech is None or callable(speech) else [_checked(x) for x in speech]
