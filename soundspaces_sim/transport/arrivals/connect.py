@@ -27,7 +27,7 @@ from soundspaces_sim.transport.arrivals.field import (
     field_at,
     front_of,
     most_of_edge,
-    share_of_ends,
+    most_share,
     terms_of,
 )
 from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, store
@@ -291,17 +291,30 @@ def _mirror(
     return first, second
 
 
+class _Gap(NamedTuple):
+    """Where a path of an edge goes between the edge's ends, or beyond one."""
+
+    detours: tuple[float, float]  # m, by both ends; infinite where the edge goes on
+    beyond: bool
+    taper: float  # of the energy: 0 far beyond an end
+
+
 @part(forceinline=True)
-def _between_ends(
+def _gap_of(
     length: float, legs: tuple[float, float], z: tuple[float, float], total: float, beyond: float
-) -> float:
-    """Square of most of an endless edge's field that comes from between the ends, over the wave number; 0 where the
-    path is farther beyond one of them than `beyond`, m."""
+) -> _Gap:
+    """Of a path that passes an edge, up to `beyond` m longer by its end than by its line."""
     apex = z[0] + (z[1] - z[0]) * legs[0] / (legs[0] + legs[1])
-    start, end = detours_of_ends(length, legs, z, total)
-    if (apex < 0.0 and start > beyond) or (apex > length and end > beyond):
-        return 0.0
-    return share_of_ends(start, end) ** 2
+    detours = detours_of_ends(length, legs, z, total)
+    if 0.0 <= apex <= length:
+        return _Gap(detours, False, 1.0)
+    return _Gap(detours, True, cosine_taper((detours[0] if apex < 0.0 else detours[1]) / beyond))
+
+
+@part(forceinline=True)
+def _share_in(k: float, gap: _Gap) -> float:
+    """Most of an endless edge's energy that comes from between the ends at a wave number."""
+    return most_share(k, gap.detours, gap.beyond) ** 2 * gap.taper
 
 
 @part
@@ -313,7 +326,7 @@ def _add_singles(
     m, stop_m = b.start[ends.v], b.start[ends.v + 1]
     while n < stop_n and m < stop_m:
         e, f = a.wedge[n], b.wedge[m]
-        if e == f and _single_may_be_heard(context.edges, a, b, n, m, least):
+        if e == f and _single_may_be_heard(context, a, b, n, m, least, scratch.least):
             _add_single(context, ends, e, coordinates_in(a, n), coordinates_in(b, m), scratch)
         n += e <= f
         m += f <= e
@@ -325,10 +338,13 @@ def _over(a: float, b: float) -> float:
 
 
 @part
-def _single_may_be_heard(edges: Edges, a: Seen, b: Seen, n: int, m: int, least: _Least) -> bool:
+def _single_may_be_heard(
+    context: Context, a: Seen, b: Seen, n: int, m: int, least: _Least, heard: np.ndarray
+) -> bool:
     """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the
     four terms of (T30) far from their boundaries, which are 2 sin(pi/n) / (cos((phi_r ± phi_s)/n) - cos(pi/n))
     two by two, and never more than half of the geometrical wave each."""
+    edges, spectrum = context.edges, context.spectrum
     wedges, e = edges.wedges, a.wedge[n]
     legs, along = a.r[n] + b.r[m], b.z[m] - a.z[n]
     squared = legs * legs + along * along
@@ -340,11 +356,19 @@ def _single_may_be_heard(edges: Edges, a: Seen, b: Seen, n: int, m: int, least: 
     falls = of_terms * of_terms * legs / (8.0 * math.pi * wedges.n[e] ** 2 * a.r[n] * b.r[m])
     if MOST_SHARE**2 * falls <= least.falls * squared:
         return False
-    if wedges.stands[e, 0] or wedges.stands[e, 1]:
-        return True
     z, total = (a.z[n], b.z[m]), math.sqrt(squared)
-    share = _between_ends(wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
-    return share * falls > least.flat * squared
+    gap = _gap_of(wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
+    if gap.taper <= 0.0:
+        return False
+    goes_on = cuts_of(wedges, e, z[0], z[1])
+    start = gap.detours[0] if goes_on[0] > 0.0 else math.inf
+    end = gap.detours[1] if goes_on[1] > 0.0 else math.inf
+    gap = _Gap((start, end), gap.beyond, gap.taper)
+    for band in range(len(heard)):
+        k = spectrum.k[band, 0]
+        if min(_share_in(k, gap) * falls, k * MOST_SHARE**2) > heard[band] * squared * k:
+            return True
+    return False
 
 
 @part
@@ -457,29 +481,36 @@ def _double_may_be_heard(
     squared = across * across + along * along
     if lit and squared > (straight + _MAX_DETOUR) ** 2:
         return False
-    first, second = a.link_size[n] * rest * across, b.link_size[m] * rest / w
+    first, second = a.link_size[n] * across / rest, b.link_size[m] * rest / w
     # A quarter, as the face's image is in both, and twice that, as it is off by some dB.
     scale = 0.5 / squared
-    if not _is_above(first, second, scale, math.inf, spectrum, least):
+    if not _is_above(first, second, scale, spectrum, least):
         return False
     total = math.sqrt(squared)
     z = a.z[i], a.z[i] + along
-    share = _between_ends(wedges.length[e], (r_p, rest), z, total, BEYOND)
+    by_e = _gap_of(wedges.length[e], (r_p, rest), z, total, BEYOND)
+    if by_e.taper <= 0.0:
+        return False
     z = links.sense[at] * (a.z[i] - links.shift[at]), b.z[j]
-    share = min(share, _between_ends(wedges.length[f], (r_p + w, r_q), z, total, BEYOND))
-    return _is_above(first, second, scale, share, spectrum, least)
+    by_f = _gap_of(wedges.length[f], (r_p + w, r_q), z, total, BEYOND)
+    if by_f.taper <= 0.0:
+        return False
+    for band in range(len(least)):
+        k = spectrum.k[band, 0]
+        share = min(_share_in(k, by_e), _share_in(k, by_f))
+        if share * scale * min(first, k) * min(second, k) > least[band] * k * k:
+            return True
+    return False
 
 
 @part(forceinline=True)
 def _is_above(
-    first: float, second: float, scale: float, share: float, spectrum: Spectrum, least: np.ndarray
+    first: float, second: float, scale: float, spectrum: Spectrum, least: np.ndarray
 ) -> bool:
-    """Whether scale * min(first / k, 1) * min(second / k, 1) is above `least` in any band, of which `share` k comes
-    from between ends at the lowest wave number."""
-    scale *= min(share * spectrum.k[0, 0], MOST_SHARE**2)
+    """Whether scale * min(first / k, 1) * min(second / k, 1) is above `least` in any band."""
     for b in range(len(least)):
         k = spectrum.k[b, 0]
-        if scale * min(first, k) * min(second, k) > least[b] * k * k:
+        if MOST_SHARE**2 * scale * min(first, k) * min(second, k) > least[b] * k * k:
             return True
     return False
 

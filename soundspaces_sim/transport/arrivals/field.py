@@ -37,6 +37,7 @@ _MIN_SINE = 1e-9  # nearer to a shadow boundary, rad, the cotangent is taken bes
 _TINY = 1e-30  # m
 #: most that an edge of finite length has of an endless one's field (a slit: 1.34)
 MOST_SHARE = 1.35
+_OVER = 0.506  # |B| is at most 0.506 / sqrt(1 + pi k detour)
 
 
 class Spectrum(NamedTuple):
@@ -155,16 +156,18 @@ def detours_of_ends(
 
 
 @part(forceinline=True)
-def share_of_ends(start: float, end: float) -> float:
-    """Bound of the part of an endless edge's field that comes from between ends with these detours, m, over the
-    root of the wave number."""
-    return (math.sqrt(start) + math.sqrt(end)) / _ROOT_PI
+def _most_beyond(k: float, detour: float) -> float:
+    """Bound of |B| of `beyond_end`, at most 1.13 times as large."""
+    phase = k * detour
+    return _OVER / math.sqrt(1.0 + math.pi * phase) if phase < _TAPERED else 0.0
 
 
 @part(forceinline=True)
-def most_share(k: float, start: float, end: float) -> float:
-    """The same at a wave number."""
-    return min(MOST_SHARE, math.sqrt(k) * share_of_ends(start, end))
+def most_share(k: float, ends: tuple[float, float], beyond: bool) -> float:
+    """Bound of the part of an endless edge's field that comes from between ends with these detours, m; `beyond`: the
+    apex is not between them."""
+    most = _most_beyond(k, ends[0]) + _most_beyond(k, ends[1]) if beyond else MOST_SHARE
+    return min(most, math.sqrt(k) * (math.sqrt(ends[0]) + math.sqrt(ends[1])) / _ROOT_PI)
 
 
 @part(forceinline=True)
@@ -178,7 +181,8 @@ def most_of_edge(path: EdgePath, terms: Terms, k: float) -> float:
         near += min(most, abs(terms.cot[t]))
         far += terms.cot[t]
         rest += abs(terms.cot[t]) * min(1.0, 0.25 / (k * l * terms.root[t] * terms.root[t] + _TINY))
-    total = min(near, abs(far) + rest) * most_share(k, path.start, path.end)
+    beyond = not 0.0 <= path.apex <= path.length
+    total = min(near, abs(far) + rest) * most_share(k, (path.start, path.end), beyond)
     return abs(size) / math.sqrt(k) * total * math.sqrt(path.taper)
 
 

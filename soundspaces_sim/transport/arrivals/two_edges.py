@@ -342,7 +342,10 @@ def estimate(wedges: Wedges, x: TwoEdgePath, k: float) -> float:
     """Of |p|² of a path at a wave number, 1/m²: by the product of coefficients, within some dB."""
     u = _product_field(wedges, x, k)
     (a, b), (c, d) = _detours_of_ends(wedges, x.e, x.f, (x.p, x.q), (x.at_e, x.at_f))
-    share = min(most_share(k, a, b), most_share(k, c, d))
+    share = min(
+        most_share(k, (a, b), not 0.0 <= x.z_e <= wedges.length[x.e]),
+        most_share(k, (c, d), not 0.0 <= x.z_f <= wedges.length[x.f]),
+    )
     return 2.0 * share * share * x.taper * (u.real * u.real + u.imag * u.imag)
 
 
