@@ -23,11 +23,13 @@ from soundspaces_sim.transport.arrivals.field import (
     EdgePath,
     Spectrum,
     Terms,
+    Turn,
     detours_of_ends,
     field_at,
     front_of,
     most_of_edge,
     most_share,
+    terms_by_turns,
     terms_of,
 )
 from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, store
@@ -74,7 +76,6 @@ from soundspaces_sim.transport.arrivals.wedges import (
     boundary_tolerance,
     cosine_taper,
     cuts_of,
-    in_order,
     met_point,
 )
 from soundspaces_sim.transport.bsdf.surface import specular_reflectance
@@ -266,13 +267,17 @@ def _edge_path(
     return ok and taper > 0.0, path
 
 
-@part
-def _cosines(path: EdgePath, s: WedgeCoordinates, r: WedgeCoordinates) -> tuple[float, float]:
-    """Of the angles at which both faces reflect between two ends."""
-    sector, legs = math.pi * path.n, path.d_s + path.d_r
-    first = (s.r * math.sin(s.phi) + r.r * math.sin(r.phi)) / legs
-    second = (s.r * math.sin(sector - s.phi) + r.r * math.sin(sector - r.phi)) / legs
-    return min(max(first, 0.0), 1.0), min(max(second, 0.0), 1.0)
+@part(forceinline=True)
+def _cosines(
+    path: EdgePath, s: WedgeCoordinates, r: WedgeCoordinates, turns: tuple[Turn, Turn, Turn]
+) -> tuple[float, float]:
+    """Of the angles at which both faces reflect between two ends: r sin(phi), and r sin(n pi - phi)."""
+    of_s, of_r, edge = turns
+    legs = path.d_s + path.d_r
+    sin = 2.0 * (s.r * of_s.half_sin * of_s.half_cos + r.r * of_r.half_sin * of_r.half_cos)
+    cos = s.r * (1.0 - 2.0 * of_s.half_sin**2) + r.r * (1.0 - 2.0 * of_r.half_sin**2)
+    second = edge.half_sin * cos - edge.half_cos * sin
+    return min(max(sin / legs, 0.0), 1.0), min(max(second / legs, 0.0), 1.0)
 
 
 @part(forceinline=True)
@@ -327,7 +332,10 @@ def _add_singles(
     while n < stop_n and m < stop_m:
         e, f = a.wedge[n], b.wedge[m]
         if e == f and _single_may_be_heard(context, a, b, n, m, least, scratch.least):
-            _add_single(context, ends, e, coordinates_in(a, n), coordinates_in(b, m), scratch)
+            if _in_order(a, b, n, m):
+                _add_single(context, ends, (a, b), (n, m), scratch)
+            else:
+                _add_single(context, ends, (b, a), (m, n), scratch)
         n += e <= f
         m += f <= e
 
@@ -342,7 +350,7 @@ def _single_may_be_heard(
     context: Context, a: Seen, b: Seen, n: int, m: int, least: _Least, heard: np.ndarray
 ) -> bool:
     """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the
-    four terms of (T30) far from their boundaries, which are 2 sin(pi/n) / (cos((phi_r ± phi_s)/n) - cos(pi/n))
+    four terms of (T30) far from their boundaries, which are sin(pi/n) / (cos²((phi_r ± phi_s)/2n) - cos²(pi/2n))
     two by two, and never more than half of the geometrical wave each."""
     edges, spectrum = context.edges, context.spectrum
     wedges, e = edges.wedges, a.wedge[n]
@@ -350,9 +358,9 @@ def _single_may_be_heard(
     squared = legs * legs + along * along
     if least.flat * squared >= MOST_SHARE**2:
         return False
-    both, cross = a.cos[n] * b.cos[m], a.sin[n] * b.sin[m]
-    edge, size = edges.turn[e, 0], 2.0 * edges.turn[e, 1]
-    of_terms = _SAFE * (_over(size, both + cross - edge) + _over(size, both - cross - edge))
+    both, cross = a.turn[n, 0] * b.turn[m, 0], a.turn[n, 1] * b.turn[m, 1]
+    cos, size = edges.turn[e, 0] ** 2, 2.0 * edges.turn[e, 0] * edges.turn[e, 1]
+    of_terms = _SAFE * (_over(size, (both + cross) ** 2 - cos) + _over(size, (both - cross) ** 2 - cos))
     falls = of_terms * of_terms * legs / (8.0 * math.pi * wedges.n[e] ** 2 * a.r[n] * b.r[m])
     if MOST_SHARE**2 * falls <= least.falls * squared:
         return False
@@ -382,20 +390,41 @@ def _loudest(path: EdgePath, terms: Terms, spectrum: Spectrum, least: np.ndarray
     return loudest if most > 1.0 else -1
 
 
+@part(forceinline=True)
+def _in_order(a: Seen, b: Seen, n: int, m: int) -> bool:
+    """Whether the end of row n comes before that of row m: that at the smaller angle."""
+    if a.phi[n] != b.phi[m]:
+        return a.phi[n] < b.phi[m]
+    return a.r[n] < b.r[m] if a.r[n] != b.r[m] else a.z[n] <= b.z[m]
+
+
+@part(forceinline=True)
+def _turn(table: np.ndarray, n: int) -> Turn:
+    return Turn(table[n, 0], table[n, 1], table[n, 2], table[n, 3])
+
+
 @part
 def _add_single(
-    context: Context, ends: _Ends, e: int, a: WedgeCoordinates, b: WedgeCoordinates, scratch: Scratch
+    context: Context, ends: _Ends, seen: tuple[Seen, Seen], rows: tuple[int, int], scratch: Scratch
 ) -> None:
-    s, r = in_order(a, b)
+    """The wave by an edge between two ends, rows of what they see, that at the smaller angle first."""
+    e, s, r = seen[0].wedge[rows[0]], coordinates_in(seen[0], rows[0]), coordinates_in(seen[1], rows[1])
+    of_s, of_r = _turn(seen[0].turn, rows[0]), _turn(seen[1].turn, rows[1])
+    of_edge = _turn(context.edges.turn, e)
     wedges, spectrum = context.edges.wedges, context.spectrum
     ok, path = _edge_path(context, ends, e, s, r, scratch.waves)
     if not ok:
         return
-    terms, field, least = terms_of(path), scratch.field, scratch.least
+    field, least = scratch.field, scratch.least
+    plus = s.phi + r.phi
+    exact, terms = terms_by_turns(path, of_s, of_r, of_edge)
+    exact &= path.minus == r.phi - s.phi and path.plus == plus
+    if not (exact and path.other == 2.0 * math.pi * path.n - plus):
+        terms = terms_of(path)  # an angle was moved to the other side of its boundary
     loudest = _loudest(path, terms, spectrum, least)
     if loudest < 0:
         return
-    front, cos = front_of(path, terms), _cosines(path, s, r)
+    front, cos = front_of(path, terms), _cosines(path, s, r, (of_s, of_r, of_edge))
     first = field_at(path, front, spectrum.k[loudest, 0], _mirror(context, e, path, cos, loudest))
     if first.real**2 + first.imag**2 <= least[loudest]:
         return

@@ -53,8 +53,7 @@ class Seen(NamedTuple):
     z: np.ndarray  # (m,) m
     r: np.ndarray  # (m,) m
     phi: np.ndarray  # (m,) rad
-    cos: np.ndarray  # (m,) of phi / n
-    sin: np.ndarray  # (m,)
+    turn: np.ndarray  # (m, 4) cosine and sine of phi / 2n, and of phi / 2
     link_start: np.ndarray  # (n + 1,)
     link: np.ndarray  # (l,) rows of `Links`, from a wedge that the end sees
     link_row: np.ndarray  # (l,) row of that wedge above
@@ -272,11 +271,12 @@ def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -
 def _with_links(edges: Edges, start: np.ndarray, wedge: np.ndarray, places: np.ndarray) -> Seen:
     """What ends see of the edges, (m, 3) their coordinates about them, and the links from there."""
     z, r, phi = np.ascontiguousarray(places.T)
-    turn, links = phi / edges.wedges.n[wedge], edges.links
+    turn, links = 0.5 * phi / edges.wedges.n[wedge], edges.links
+    turns = np.stack([np.cos(turn), np.sin(turn), np.cos(0.5 * phi), np.sin(0.5 * phi)], axis=1)
     before = np.concatenate([[0], np.cumsum(np.diff(links.start)[wedge])])
     count = before[-1]
     seen = Seen(
-        start, wedge, z, r, phi, np.cos(turn), np.sin(turn), before[start], np.empty(count, np.int32),
+        start, wedge, z, r, phi, turns, before[start], np.empty(count, np.int32),
         np.empty(count, np.int32), np.empty(count, np.float32),
     )  # fmt: skip
     over_rows(_fill_links, len(start) - 1, edges, seen, least=_OF_THREAD)

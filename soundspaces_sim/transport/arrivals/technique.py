@@ -49,7 +49,8 @@ def edges_of(model: Model) -> Edges:
     wedges, mutual = model.prepared.part(prepare_wedges)
     planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
     large = plane_areas(geometry.plane, model.scene.corners, planes) >= _MIN_AREA
-    turn = np.stack([np.cos(np.pi / wedges.n), np.sin(np.pi / wedges.n)], axis=1)
+    half, whole = 0.5 * np.pi / wedges.n, np.pi * wedges.n
+    turn = np.stack([np.cos(half), np.sin(half), np.cos(whole), np.sin(whole)], axis=1)
     return Edges(wedges, *find_faces(geometry, wedges), mutual, find_links(wedges, mutual), turn, large)
 
 

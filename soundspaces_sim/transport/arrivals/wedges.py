@@ -117,18 +117,6 @@ def cosine_taper(x: float) -> float:
 
 
 @part(forceinline=True)
-def in_order(s: WedgeCoordinates, r: WedgeCoordinates) -> tuple[WedgeCoordinates, WedgeCoordinates]:
-    """Two points about a wedge, that at the smaller angle first."""
-    if s.phi != r.phi:
-        first = s.phi < r.phi
-    elif s.r != r.r:
-        first = s.r < r.r
-    else:
-        first = s.z <= r.z
-    return (s, r) if first else (r, s)
-
-
-@part(forceinline=True)
 def boundary_tolerance(wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates) -> float:
     """Angle within which rays do not tell light from shadow, as they pass an edge at its `offset`, rad."""
     m = wedges.offset[e]
