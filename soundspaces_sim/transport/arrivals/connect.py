@@ -35,13 +35,14 @@ from soundspaces_sim.transport.arrivals.field import (
 from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, store
 from soundspaces_sim.transport.arrivals.images import (
     End,
+    Leg,
     View,
     beside_edge,
     end_at,
     image_of,
+    leg_to,
     reflected,
     reflection_point,
-    sees,
 )
 from soundspaces_sim.transport.arrivals.mirrors import on_planes, straight_path, trace_mirrors, unfold
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
@@ -53,7 +54,6 @@ from soundspaces_sim.transport.arrivals.sight import (
 )
 from soundspaces_sim.transport.arrivals.two_edges import (
     BEYOND,
-    TwoEdgePath,
     estimate,
     meets_both,
     path_length,
@@ -429,7 +429,11 @@ def _add_single(
     if first.real**2 + first.imag**2 <= least[loudest]:
         return
     at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
-    if not (sees(context.sight, p, at) and sees(context.sight, q, at)):
+    from_p = leg_to(context.sight, p, at)
+    if not from_p.free:
+        return
+    from_q = leg_to(context.sight, q, at)
+    if not from_q.free:
         return
     for k in range(len(least)):
         mirror = _mirror(context, e, path, cos, k)
@@ -438,7 +442,7 @@ def _add_single(
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
-    _add_by_edges(context, ends, (e, -1), (at, at), length, False, scratch)
+    _add_by_edges(context, ends, (e, -1), (from_p, from_q), length, False, scratch)
 
 
 @part
@@ -469,7 +473,7 @@ def _add_by_edges(
     context: Context,
     ends: _Ends,
     edges: tuple[int, int],
-    at: tuple[Vec3, Vec3],
+    legs: tuple[Leg, Leg],
     length: float,
     more: bool,
     scratch: Scratch,
@@ -477,8 +481,8 @@ def _add_by_edges(
     """Add the wave whose field is in the scratch, less what planes take of it; `more` edges than two."""
     p, q, energy = ends.p, ends.q, scratch.energy
     energy[:] = 1.0
-    at_p, group_p = reflected(context.sight, p, at[0], energy)
-    at_q, group_q = reflected(context.sight, q, at[1], energy)
+    at_p, group_p = reflected(context.sight, p, legs[0], energy)
+    at_q, group_q = reflected(context.sight, q, legs[1], energy)
     share = _fades_in(scratch)
     if share <= 0.0:
         return
@@ -533,9 +537,7 @@ def _double_may_be_heard(
 
 
 @part(forceinline=True)
-def _is_above(
-    first: float, second: float, scale: float, spectrum: Spectrum, least: np.ndarray
-) -> bool:
+def _is_above(first: float, second: float, scale: float, spectrum: Spectrum, least: np.ndarray) -> bool:
     """Whether scale * min(first / k, 1) * min(second / k, 1) is above `least` in any band."""
     for b in range(len(least)):
         k = spectrum.k[b, 0]
@@ -563,18 +565,10 @@ def _add_doubles(
 
 
 @part
-def _clear(context: Context, x: TwoEdgePath, p: End, q: End) -> bool:
-    """Whether nothing is in the way of a path by two edges."""
-    wedges, view = context.edges.wedges, context.sight
-    at_e, at_f = met_point(wedges, x.e, x.z_e), met_point(wedges, x.f, x.z_f)
-    return sees(view, p, at_e) and sees(view, q, at_f) and unoccluded(view.geometry, at_e, at_f)
-
-
-@part
 def _add_double(
     context: Context, ends: _Ends, e: int, f: int, straight: float, scratch: Scratch
 ) -> None:
-    wedges, spectrum, p, q = context.edges.wedges, context.spectrum, ends.p, ends.q
+    wedges, spectrum, view, p, q = context.edges.wedges, context.spectrum, context.sight, ends.p, ends.q
     inside, x = two_edge_path(wedges, e, f, p.at, q.at)
     if not inside:
         return
@@ -584,18 +578,24 @@ def _add_double(
     most, lowest = estimate(wedges, x, spectrum.k[0, 0]), spectrum.k[0, 0]
     for b in range(len(scratch.least)):  # each edge takes one over the root of the wave number
         loud = loud or most * (lowest / spectrum.k[b, 0]) ** 2 > scratch.least[b]
-    if not loud or not _clear(context, x, p, q):
+    if not loud:
+        return
+    met_e, met_f = met_point(wedges, e, x.z_e), met_point(wedges, f, x.z_f)
+    from_p = leg_to(view, p, met_e)
+    if not from_p.free:
+        return
+    from_q = leg_to(view, q, met_f)
+    if not (from_q.free and unoccluded(view.geometry, met_e, met_f)):
         return
     if not two_edge_field(wedges, x, spectrum, scratch.least, scratch.double, scratch.field):
         return
-    on_edges = meets_both(wedges, x)
-    met_e, met_f = met_point(wedges, e, x.z_e), met_point(wedges, f, x.z_f)
-    at_e = x.at_e if on_edges and p.plane < 0 else met_e
-    at_f = x.at_f if on_edges and q.plane < 0 else met_f
-    if not on_edges:
-        longer = distance(p.at, at_e) + distance(at_e, at_f) + distance(at_f, q.at)
+    if meets_both(wedges, x):
+        from_p = Leg(True, x.at_e if p.plane < 0 else from_p.towards, from_p.triangle)
+        from_q = Leg(True, x.at_f if q.plane < 0 else from_q.towards, from_q.triangle)
+    else:
+        longer = distance(p.at, met_e) + distance(met_e, met_f) + distance(met_f, q.at)
         length = _turned(scratch.field, spectrum, length, longer)
-    _add_by_edges(context, ends, (e, f), (at_e, at_f), length, False, scratch)
+    _add_by_edges(context, ends, (e, f), (from_p, from_q), length, False, scratch)
 
 
 @part
@@ -652,8 +652,9 @@ def _add_way(
         wedges, count, p, q, length, context.spectrum, scratch.least, way, scratch.double, scratch.field
     ):
         e, f = way.edge[0], way.edge[count - 1]
-        met = met_point(wedges, e, way.z[0]), met_point(wedges, f, way.z[count - 1])
-        _add_by_edges(context, ends, (e, f), met, length, count > 2, scratch)
+        to_e = Leg(True, met_point(wedges, e, way.z[0]), -1)
+        to_f = Leg(True, met_point(wedges, f, way.z[count - 1]), -1)
+        _add_by_edges(context, ends, (e, f), (to_e, to_f), length, count > 2, scratch)
     return 1
 
 

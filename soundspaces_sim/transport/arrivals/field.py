@@ -216,8 +216,8 @@ def _most_beyond(k: float, detour: float) -> float:
 
 @part(forceinline=True)
 def most_share(k: float, ends: tuple[float, float], beyond: bool) -> float:
-    """Bound of the part of an endless edge's field that comes from between ends with these detours, m; `beyond`: the
-    apex is not between them."""
+    """Bound of the part of an endless edge's field that comes from between ends with these detours, m; `beyond`:
+    the apex is not between them."""
     most = _most_beyond(k, ends[0]) + _most_beyond(k, ends[1]) if beyond else MOST_SHARE
     return min(most, math.sqrt(k) * (math.sqrt(ends[0]) + math.sqrt(ends[1])) / _ROOT_PI)
 

@@ -147,29 +147,34 @@ def sees_by_plane(view: View, end: End, target: Vec3) -> tuple[int, Vec3]:
     return triangle, x
 
 
+class Leg(NamedTuple):
+    """How sound gets from an end to a place."""
+
+    free: bool
+    towards: Vec3  # where it goes first
+    triangle: int  # by which, -1 for none
+
+
 @part
-def sees(view: View, end: End, target: Vec3) -> bool:
-    """Whether sound gets from an end to a place."""
+def leg_to(view: View, end: End, target: Vec3) -> Leg:
+    """From an end to a place."""
     if end.plane < 0:
-        return unoccluded(view.geometry, end.point, target)
-    triangle, _ = sees_by_plane(view, end, target)
-    return triangle >= 0
+        return Leg(unoccluded(view.geometry, end.point, target), target, -1)
+    triangle, x = sees_by_plane(view, end, target)
+    return Leg(triangle >= 0, x, triangle)
 
 
 @part
-def reflected(view: View, end: End, target: Vec3, energy: np.ndarray) -> tuple[Vec3, int]:
-    """(Unit vector in which sound leaves an end for a place, group of what reflects it), after what that takes from
-    energies (b,)."""
-    towards, group = target, -1
+def reflected(view: View, end: End, leg: Leg, energy: np.ndarray) -> tuple[Vec3, int]:
+    """(Unit vector in which sound leaves an end, group of what reflects it), after what that takes from energies
+    (b,)."""
+    along, group = subtract(leg.towards, end.point), -1
     if end.plane >= 0:
-        triangle, towards = sees_by_plane(view, end, target)
-        material = material_met(view.geometry, triangle, subtract(towards, end.point))
-        far = distance(end.point, towards)
-        cos = min(abs(signed_distance(view.planes, end.plane, end.point)) / far, 1.0)
+        material = material_met(view.geometry, leg.triangle, along)
+        cos = min(abs(signed_distance(view.planes, end.plane, end.point)) / length(along), 1.0)
         attenuate_specular(view.surfaces, material, cos, energy)
         group = view.surfaces.group[material]
-    along = subtract(towards, end.point)
-    return divide(along, distance(towards, end.point)), group
+    return divide(along, length(along)), group
 
 
 @kernel

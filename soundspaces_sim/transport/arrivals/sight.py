@@ -19,8 +19,8 @@ from soundspaces_sim.transport.arrivals.images import (
     End,
     View,
     end_at,
+    leg_to,
     reflection_point,
-    sees,
     signed_distance,
 )
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
@@ -201,7 +201,7 @@ def _try_ends(
             coordinates[i, e, 0], coordinates[i, e, 1], coordinates[i, e, 2] = c
             count = max(int(math.ceil(wedges.length[e] / _SPACING)), 2)
             for k in range(count):
-                if sees(view, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])):
+                if leg_to(view, end, clear_point(wedges, e, (k + 0.5) / count * wedges.length[e])).free:
                     seen[i, e] = True
                     break
 
