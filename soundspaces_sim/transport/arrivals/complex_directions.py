@@ -19,7 +19,7 @@ from soundspaces_sim.core.numerics.kernel import part
 _BREAKS = np.array([0.0, 0.08, 0.45, 1.5, 4.5])
 _TILT = 1.0  # rad, psi
 _QUARTER = math.sqrt(0.5)  # cos and sin of pi / 4
-_TERMS = 8
+_TERMS = 6
 
 
 def _contour() -> tuple[np.ndarray, np.ndarray]:
