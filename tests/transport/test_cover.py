@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from soundspaces_sim.core.numerics.kernel import kernel
-from soundspaces_sim.transport.arrivals.cover import NEAR, THERE, Cover, cover_at, make_cover
-from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
+from soundspaces_sim.transport.arrivals.specular_planes import (
+    NEAR,
+    THERE,
+    Cover,
+    SpecularPlanes,
+    cover_at,
+    make_cover,
+)
 
 
 @kernel

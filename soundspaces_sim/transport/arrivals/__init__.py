@@ -9,7 +9,7 @@ any number of edges. Numbers are those of docs/theory.md, section 5. A scene onc
 
     specular_planes, prepared     triangles grouped by plane equation
     find_wedges, wedges           convex creases and free borders: rigid wedges of open angle n pi
-    scene_edges, faces            which wedges see each other, which a face connects, which planes end there
+    scene_edges                   which wedges see each other, which a face connects, which planes end there
 
 A point once, for all its pairs: `sight` has the planes that its rays meet, the wedges that it sees, and those that
 its images see by way of large planes; `ways` has its shortest ways to all wedges. An *end* is a point or such an
@@ -20,7 +20,7 @@ A pair (`connect`, the one kernel), in four steps:
  1. Candidates. Tables of both ends are joined by wedge, or by two wedges of one face. What one of them may have at
     most is estimated from the tables (T35), and what nobody hears beside the rest goes no further. Points that do
     not see each other also have the ways of either to the wedges that the other one sees.
- 2. Geometry. Images by unfolding (`images`, `mirrors`); Keller's cone on one edge; the shortest path by two
+ 2. Geometry. Images by unfolding (`images`); Keller's cone on one edge; the shortest path by two
     parallel lines (`two_edges`); ways are pulled taut. Rays decide what is there.
  3. Field. sqrt(rho (1 - s)) for every plane, (T29a). One edge: the uniform theory of diffraction,
         P ~ sum over Theta, ± of cot((pi ± Theta) / 2n) F(k L a±(Theta)) S                              (T30)

@@ -16,7 +16,6 @@ from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, distance, row
 from soundspaces_sim.echogram.echogram import EDGE_KINDS, EDGES, MIRRORS, MIRRORS_AND_BACK, REVERSE_KIND
 from soundspaces_sim.scene.rays.geometry import unoccluded
-from soundspaces_sim.transport.arrivals.cover import NEAR, cover_at
 from soundspaces_sim.transport.arrivals.double_wedge import DoubleWedgeScratch
 from soundspaces_sim.transport.arrivals.field import (
     MOST_SHARE,
@@ -41,10 +40,13 @@ from soundspaces_sim.transport.arrivals.images import (
     end_at,
     image_of,
     leg_to,
+    on_planes,
     reflected,
     reflection_point,
+    straight_path,
+    trace_mirrors,
+    unfold,
 )
-from soundspaces_sim.transport.arrivals.mirrors import on_planes, straight_path, trace_mirrors, unfold
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
 from soundspaces_sim.transport.arrivals.sight import (
     Seen,
@@ -52,6 +54,7 @@ from soundspaces_sim.transport.arrivals.sight import (
     coordinates_in,
     row_of,
 )
+from soundspaces_sim.transport.arrivals.specular_planes import NEAR, cover_at
 from soundspaces_sim.transport.arrivals.two_edges import (
     BEYOND,
     estimate,

@@ -19,10 +19,12 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, cross, dot, normalize, row
 from soundspaces_sim.scene.triangles import areas
-from soundspaces_sim.transport.arrivals.cover import Cover, cover_at, draw
 from soundspaces_sim.transport.arrivals.specular_planes import (
     FACES,
+    Cover,
     SpecularPlanes,
+    cover_at,
+    draw,
     faces_of_planes,
     group_planes,
     in_plane,

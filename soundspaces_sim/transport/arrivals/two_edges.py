@@ -14,11 +14,11 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, distance, dot, row
-from soundspaces_sim.transport.arrivals.complex_directions import set_terms
 from soundspaces_sim.transport.arrivals.double_wedge import (
     DoubleWedgeScratch,
     Ends,
     double_wedge_field,
+    set_terms,
 )
 from soundspaces_sim.transport.arrivals.field import (
     EdgePath,

@@ -24,11 +24,11 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, dot, length, row, subtract
 from soundspaces_sim.scene.rays.geometry import unoccluded
-from soundspaces_sim.transport.arrivals.complex_directions import set_terms
 from soundspaces_sim.transport.arrivals.double_wedge import (
     DoubleWedgeScratch,
     Ends,
     double_wedge_field,
+    set_terms,
 )
 from soundspaces_sim.transport.arrivals.field import (
     EdgePath,

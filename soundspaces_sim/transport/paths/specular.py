@@ -21,7 +21,7 @@ from soundspaces_sim.core.numerics.rng import combine, event_uniforms, hashed_un
 from soundspaces_sim.core.numerics.vec3 import Vec3, put, row
 from soundspaces_sim.scene.rays.directions import stratified_pair
 from soundspaces_sim.scene.rays.geometry import Hit
-from soundspaces_sim.transport.arrivals.mirrors import ORDER, by_images
+from soundspaces_sim.transport.arrivals.images import ORDER, by_images
 from soundspaces_sim.transport.bsdf.sampling import sample_split
 from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
 from soundspaces_sim.transport.bsdf.surface import (
