@@ -3,13 +3,21 @@
 from typing import Any
 
 import numpy as np
+import pytest
 import trimesh
 from scipy import optimize
 
 import soundspaces_sim as ss
+from soundspaces_sim.core.numerics.kernel import kernel
+from soundspaces_sim.core.numerics.vec3 import row
+from soundspaces_sim.transport.arrivals.connect import Context, Scratch, _double_may_be_heard
 from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
+from soundspaces_sim.transport.arrivals.technique import context_of
+from soundspaces_sim.transport.arrivals.two_edges import meets_both, two_edge_field, two_edge_path
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
+from soundspaces_sim.transport.tile import make_side, make_tile
+from tests.rooms import table
 from tests.transport.exact_wedge import SPEED
 from tests.transport.test_diffraction import CONFIG
 
@@ -80,3 +88,48 @@ def test_paths_by_two_edges_are_shortest() -> None:
                 assert min(abs(arrival.delay * SPEED - x) for x in (by_ends, bounded.fun)) < 2e-3
                 assert by_ends - best.fun < 2.0 * _BEYOND
     assert found.count(True) >= 20
+
+
+@kernel
+def _bounded(context: Context, scratch: Scratch, found: np.ndarray) -> None:
+    """Counts (2,) of paths by two edges between all points whose lowest wave number has the field of (T34), and of
+    those that may be heard where half of that energy is."""
+    a, b, edges = context.a, context.b, context.edges
+    for i in range(len(a.points)):
+        for j in range(len(b.points)):
+            u, v = a.ends[i], b.ends[j]
+            for n in range(a.seen.link_start[u], a.seen.link_start[u + 1]):
+                for m in range(b.seen.link_start[v], b.seen.link_start[v + 1]):
+                    if edges.links.reverse[b.seen.link[m]] != a.seen.link[n]:
+                        continue
+                    e, f = a.seen.wedge[a.seen.link_row[n]], b.seen.wedge[b.seen.link_row[m]]
+                    ok, x = two_edge_path(edges.wedges, e, f, row(a.points, i), row(b.points, j))
+                    if not (ok and meets_both(edges.wedges, x)):
+                        continue
+                    scratch.least[:] = 0.0
+                    two_edge_field(
+                        edges.wedges, x, context.spectrum, scratch.least, scratch.double, scratch.field
+                    )
+                    for k in range(len(scratch.least)):
+                        scratch.least[k] = 0.5 * abs(scratch.field[k, 0]) ** 2
+                    found[0] += 1
+                    if _double_may_be_heard(context, a.seen, b.seen, n, m, 0.0, False, scratch.least):
+                        found[1] += 1
+
+
+@pytest.mark.parametrize("size", [0.15, 0.6, 3.0])
+def test_what_two_edges_bring_is_not_estimated_too_low(size: float) -> None:
+    """Over the edges of a slab, points as far off as it is wide and up to twenty times as far: whatever the size, the
+    estimate is at most 3 dB below the exact field."""
+    slab = trimesh.creation.box(extents=(0.1 * size, 30.0, 10.0))
+    slab.apply_translation((0.0, 0.0, -5.0))
+    scene = ss.Scene(slab.vertices, slab.faces, np.zeros(len(slab.faces), int), table(0.0, 0.0))
+    low, high = [0.1, -1.0, -1.0], [2.0, 1.0, 1.0]
+    points = np.random.default_rng(3).uniform(low, high, (40, 3)) * size
+    points[:20, 0] *= -1.0
+    model = make_model(scene, points, CONFIG)
+    side = [make_side(model, some) for some in (points[:20], points[20:])]
+    context, scratch = context_of(make_tile(model, *side, True))
+    found = np.zeros(2, np.int64)
+    _bounded(context, scratch(1), found)
+    assert found[0] >= 300 and found[1] == found[0]

@@ -229,11 +229,16 @@ def most_of_edge(path: EdgePath, terms: Terms, k: float) -> float:
     2x."""
     l, size = _spread(path)
     most, near, far, rest = path.n * math.sqrt(2.0 * math.pi * k * l), 0.0, 0.0, 0.0
-    for t in range(4):
-        near += min(most, abs(terms.cot[t]))
-        far += terms.cot[t]
-        rest += abs(terms.cot[t]) * min(1.0, 0.25 / (k * l * terms.root[t] * terms.root[t] + _TINY))
     beyond = not 0.0 <= path.apex <= path.length
+    by_ends = max(path.start, path.end)
+    for t in range(4):
+        cot, detour = abs(terms.cot[t]), 2.0 * l * terms.root[t] ** 2
+        differs = 0.5 / (k * detour + _TINY)
+        if beyond:  # by its own share of B too: 1 - m of (T33a)
+            differs += 1.0 - detour * detour / (detour * detour + by_ends * by_ends + _TINY)
+        near += min(most, cot)
+        far += terms.cot[t]
+        rest += cot * min(1.0, differs)
     total = min(near, abs(far) + rest) * most_share(k, (path.start, path.end), beyond)
     return abs(size) / math.sqrt(k) * total * math.sqrt(path.taper)
 

@@ -6,6 +6,7 @@ The direct sound is the straight segment, attenuated by every surface that it cr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -115,11 +116,10 @@ def sight_of(side: Side) -> Sight:
     return find_sight(model.once(view_of), model.once(edges_of), points, keys)
 
 
-def connect(tile: Tile) -> PathTable:
-    """The direct sound of every pair, and its other arrivals."""
+def context_of(tile: Tile) -> tuple[Context, Callable[[int], Scratch]]:
+    """(What the kernel reads, what makes room for so many waves)."""
     model, edges = tile.model, tile.model.once(edges_of)
     spectrum = make_spectrum(model.config.bands, model.config.c)
-    direct_sound(tile)
     context = Context(
         sight=model.once(view_of),
         edges=edges,
@@ -144,6 +144,13 @@ def connect(tile: Tile) -> PathTable:
             way=make_way_scratch(),
         )
 
+    return context, scratch
+
+
+def connect(tile: Tile) -> PathTable:
+    """The direct sound of every pair, and its other arrivals."""
+    direct_sound(tile)
+    model, (context, scratch) = tile.model, context_of(tile)
     paths = for_each_pair(tile, find_arrivals, context, tile.pairs, scratch, _ROOM)
     tile.direct[:] = context.joined * air_transmission(model.config, tile.distance)
     if tile.same:  # pairs i <= j were done, and count for both directions
