@@ -128,8 +128,8 @@ def test_what_two_edges_bring_is_not_estimated_too_low(size: float) -> None:
     points = np.random.default_rng(3).uniform(low, high, (40, 3)) * size
     points[:20, 0] *= -1.0
     model = make_model(scene, points, CONFIG)
-    side = [make_side(model, some) for some in (points[:20], points[20:])]
-    context, scratch = context_of(make_tile(model, *side, True))
+    sides = make_side(model, points[:20]), make_side(model, points[20:])
+    context, scratch = context_of(make_tile(model, sides[0], sides[1], both_ways=True))
     found = np.zeros(2, np.int64)
     _bounded(context, scratch(1), found)
     assert found[0] >= 300 and found[1] == found[0]
