@@ -19,17 +19,17 @@ from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Arrived, Tile, nothing_arrived
 from tests.rooms import box, plain, table
 
 
-def echo_of_a_second(tile: Tile) -> PathTable:
+def echo_of_a_second(tile: Tile) -> Arrived:
     """A toy technique: one path of 34.3 m and 1 µJ/m² for every pair."""
-    rows, columns = tile.walls.shape
-    n, bands = rows * columns, tile.model.world.air.shape[1]
+    rows, columns, bands = tile.shape
+    n = rows * columns
     up = np.tile([0.0, 0.0, 1.0], (n, 1))
     none = np.full((n, 2), -1)
-    return PathTable(
+    paths = PathTable(
         np.arange(n),
         np.full(n, 34.3),
         up,
@@ -39,6 +39,7 @@ def echo_of_a_second(tile: Tile) -> PathTable:
         np.full(n, MIRRORS),
         none,
     )
+    return nothing_arrived(tile)._replace(paths=paths)
 
 
 def test_a_technique() -> None:

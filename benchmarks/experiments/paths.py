@@ -28,12 +28,11 @@ from soundspaces_sim.core.numerics.kernel import set_thread_count
 from soundspaces_sim.echogram.echogram import KINDS, MIRRORS
 from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
 from soundspaces_sim.transport.integrator import simulate_tile
-from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.preparation import make_model
-from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.technique import Technique
+from soundspaces_sim.transport.state import ReflectionBlock, Tables, Vertices
+from soundspaces_sim.transport.technique import Technique, TraceRows
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.tile import Left, Side, Tile, Walks
+from soundspaces_sim.transport.tile import Arrived, Side, Sums, Tile, Walks
 
 WINDOWS_S = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
 BAND, POINTS, SEEDS, LENGTH_S = 2, 12, 8, 0.8
@@ -59,11 +58,17 @@ class Clocked:
 
         return through
 
+    def _trace(self, own: Side, other: Side) -> TraceRows:
+        assert self.technique.trace is not None
+        rows_of = self._timed(self.technique.trace(own, other))
+        assert rows_of is not None
+        return rows_of
+
     def watched(self) -> Technique:
         technique = self.technique
         return replace(
             technique,
-            trace=self._timed(technique.trace),
+            trace=self._trace if technique.trace else None,
             connect=self._timed(technique.connect),
             join=self._timed(technique.join),
         )
@@ -77,33 +82,36 @@ class Watched:
         self.added: np.ndarray | float = 0.0
         self.seconds = 0.0
 
-    def _trace(
-        self, tile: Tile, own: Side, other: Side, rows: slice, tables: Tables, left: Left
-    ) -> None:
-        before = tables.arrive[..., 0, BAND].copy(), tables.leave[..., 0, BAND].copy()
-        start = time.process_time()
+    def _trace(self, own: Side, other: Side) -> TraceRows:
         assert self.technique.trace is not None
-        self.technique.trace(tile, own, other, rows, tables, left)
-        self.seconds += time.process_time() - start
-        added = np.zeros((POINTS, POINTS, before[0].shape[2]))
-        added[rows] += tables.arrive[..., 0, BAND] - before[0]
-        added[:, rows] += (tables.leave[..., 0, BAND] - before[1]).transpose(1, 0, 2)
-        self.added = self.added + added
+        trace = self.technique.trace(own, other)
 
-    def _connect(self, tile: Tile) -> PathTable | None:
-        before, start = tile.to_b[..., 0, BAND].copy(), time.process_time()
+        def rows_of(rows: slice, tables: Tables, vertices: Vertices) -> ReflectionBlock | None:
+            before = tables.arrive[..., 0, BAND].copy(), tables.leave[..., 0, BAND].copy()
+            start = time.process_time()
+            left = trace(rows, tables, vertices)
+            self.seconds += time.process_time() - start
+            added = np.zeros((POINTS, POINTS, before[0].shape[2]))
+            added[rows] += tables.arrive[..., 0, BAND] - before[0]
+            added[:, rows] += (tables.leave[..., 0, BAND] - before[1]).transpose(1, 0, 2)
+            self.added = self.added + added
+            return left
+
+        return rows_of
+
+    def _connect(self, tile: Tile) -> Arrived:
+        start = time.process_time()
         assert self.technique.connect is not None
         found = self.technique.connect(tile)
         self.seconds += time.process_time() - start
-        self.added = self.added + (tile.to_b[..., 0, BAND] - before)
         return found
 
-    def _join(self, tile: Tile, of_a: Walks, of_b: Walks) -> None:
-        before, start = tile.to_b[..., 0, BAND].copy(), time.process_time()
+    def _join(self, tile: Tile, of_a: Walks, of_b: Walks, sums: Sums) -> None:
+        before, start = sums.to_b[..., 0, BAND].copy(), time.process_time()
         assert self.technique.join is not None
-        self.technique.join(tile, of_a, of_b)
+        self.technique.join(tile, of_a, of_b, sums)
         self.seconds += time.process_time() - start
-        self.added = self.added + (tile.to_b[..., 0, BAND] - before)
+        self.added = self.added + (sums.to_b[..., 0, BAND] - before)
 
     def watched(self) -> Technique:
         return replace(

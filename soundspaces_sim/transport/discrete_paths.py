@@ -16,7 +16,7 @@ from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.simulation_config import LowConfig, MaterialsConfig, RadianceTransferConfig
 from soundspaces_sim.scene.rays.placing import off_faces
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.integrator import connect_all
+from soundspaces_sim.transport.integrator import arrived_at
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.paths.detector import Detectors, make_detectors
@@ -24,8 +24,6 @@ from soundspaces_sim.transport.preparation import at_duration, prepare_scene
 from soundspaces_sim.transport.state import Ends
 from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import Side, make_tile
-
-DISCRETE = tuple(t for t in TECHNIQUES if t.connect is not None and not t.deposits)
 
 
 class DiscretePaths(NamedTuple):
@@ -64,8 +62,7 @@ def _no_detectors(model: Model) -> Detectors:
 
 def discrete_paths(source: Side, listener: Side) -> DiscretePaths:
     """The paths from one place to another."""
-    model = source.model
-    tile = make_tile(model, source, listener, both_ways=False)
-    connect_all(tile, DISCRETE)
-    paths = PathTable.concatenate(list(tile.discrete.values()), tile.direct.shape[2]).sorted()
-    return DiscretePaths(tile.direct[0, 0], int(tile.walls[0, 0]), float(tile.distance[0, 0]), paths)
+    tile = make_tile(source, listener)
+    found = arrived_at(tile, TECHNIQUES)
+    distance = float(tile.distance[0, 0])
+    return DiscretePaths(found.direct[0, 0], int(found.walls[0, 0]), distance, found.paths.sorted())

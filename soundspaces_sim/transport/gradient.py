@@ -27,7 +27,7 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import non_lambertian
-from soundspaces_sim.transport.integrator import connect_all, run_techniques, traced
+from soundspaces_sim.transport.integrator import join_walks, run_techniques, traced
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.radiance_transfer.derivative import weighted_derivatives
@@ -38,7 +38,7 @@ from soundspaces_sim.transport.simulate import as_points, model_between
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.tile import Tile, batch_rows
+from soundspaces_sim.transport.tile import Sums, batch_rows
 
 _GROUPS = 12
 Weights = ArrayLike | Callable[[Echograms], ArrayLike]
@@ -114,12 +114,14 @@ def gradient_of(
     bands, bins = model.world.air.shape[1], len(model.time_edges) - 1
     check_memory(8.0 * len(a) * len(b) * 2 * batch_rows(model) * bins * bands, "counts in every bin")
     apart = [t for t in techniques if t is RADIANCE_TRANSFER and model.world.settings.radiance_transfer]
-    tile, walks = run_techniques(
+    made = run_techniques(
         model, a, b, both_ways=False, techniques=[t for t in techniques if t not in apart]
     )
-    counted, counts, scores = tile.to_b[:, :, :, 0].astype(float), _counts(tile), _scores(tile)
-    connect_all(tile, apart, walks)
-    echoes = traced(model, tile, a, b, both_ways=False).forward
+    sums = made.sums
+    counted = sums.to_b[:, :, :, 0].astype(float)
+    counts, scores = _counts(model, sums), _scores(model, sums)
+    join_walks(made.tile, made.walks, sums, apart)
+    echoes = traced(made, both_ways=False).forward
     given = weights(echoes) if callable(weights) else weights
     weight, expected = np.asarray(given, float), (*echoes.shape, bins, bands)
     if weight.shape != expected or not np.isfinite(weight).all():
@@ -128,14 +130,13 @@ def gradient_of(
             f"shape {weight.shape}"
         )
     groups = model.prepared.groups
-    arrivals = _of_arrivals(tile, weight)
+    arrivals = _of_arrivals(model, made.arrived.paths, weight)
     by_log = np.einsum("sltb,sltmb->mb", weight * counted, counts) + arrivals
     by_scattering = np.einsum("sltb,sltmb->mb", weight * counted, scores)
     if apart:
-        for sums, more in zip(
-            (by_log, by_scattering), weighted_derivatives(tile, *walks, weight), strict=True
-        ):
-            sums += more
+        late = weighted_derivatives(made.tile, *made.walks, weight)
+        for derivatives, more in zip((by_log, by_scattering), late, strict=True):
+            derivatives += more
     by_absorption = -by_log / (1.0 - groups.absorption - groups.transmission)
     if unknown is None:
         return Gradient(groups.names, by_absorption, echoes)
@@ -156,18 +157,18 @@ def _scored(model: Model) -> tuple[Model, np.ndarray]:
     return replace(model, world=model.world._replace(surfaces=surfaces)), unknown
 
 
-def _counts(tile: Tile) -> np.ndarray:
+def _counts(model: Model, sums: Sums) -> np.ndarray:
     """(S, L, bins, M, b) mean counts of the reflections of paths."""
-    moments = moments_of(tile)
+    moments = moments_of(model, sums)
     assert moments is not None
-    return counts_of(tile.model, moments).mean.astype(float)
+    return counts_of(model, moments).mean.astype(float)
 
 
-def _scores(tile: Tile) -> np.ndarray:
+def _scores(model: Model, sums: Sums) -> np.ndarray:
     """(S, L, bins, M or 0, b) mean scores of paths."""
-    last = tile.batches.shape[2]
-    whole = tile.batches[:, :, :BATCHES].sum(axis=2, dtype=float)[:, :, :, None]
-    summed = np.moveaxis(tile.batches[:, :, last - score_count(tile.model.world.surfaces) :], 2, 3)
+    last = sums.batches.shape[2]
+    whole = sums.batches[:, :, :BATCHES].sum(axis=2, dtype=float)[:, :, :, None]
+    summed = np.moveaxis(sums.batches[:, :, last - score_count(model.world.surfaces) :], 2, 3)
     return np.divide(summed, whole, out=np.zeros(summed.shape), where=whole > 0.0)
 
 
@@ -178,14 +179,13 @@ def _per_mirroring(model: Model) -> np.ndarray:
     return np.divide(1.0, 1.0 - scattering, out=np.zeros_like(scattering), where=scattering < 1.0)
 
 
-def _of_arrivals(tile: Tile, weight: np.ndarray) -> np.ndarray:
+def _of_arrivals(model: Model, found: PathTable, weight: np.ndarray) -> np.ndarray:
     """(M, b) weighted derivatives by ln ρ of discrete arrivals, in the bins in which they come."""
-    found = PathTable.concatenate(list(tile.discrete.values()), weight.shape[3])
-    time = np.searchsorted(tile.model.time_edges, found.length / tile.model.config.c, "right") - 1
+    time = np.searchsorted(model.time_edges, found.length / model.config.c, "right") - 1
     inside = time < weight.shape[2]
     by_log = np.zeros_like(found.energy)
     by_log[inside] = weight.reshape(-1, *weight.shape[2:])[found.pair[inside], time[inside]]
     by_log *= found.energy
-    number = len(tile.model.prepared.groups.names)
+    number = len(model.prepared.groups.names)
     counts = np.stack([(found.groups == m).sum(axis=1) for m in range(number)])
     return np.asarray(counts @ by_log)

@@ -6,9 +6,10 @@ scene, the config and the seed, never on what else is in the tile.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,21 +23,24 @@ from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.reflection_counts.of_tile import moments_of
 from soundspaces_sim.transport.smoothing import Traced, smoothed, with_errors_of
-from soundspaces_sim.transport.state import Tables
+from soundspaces_sim.transport.state import Tables, Vertices
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.technique import Technique, check_requirements
 from soundspaces_sim.transport.techniques import TECHNIQUES
 from soundspaces_sim.transport.tile import (
-    Left,
+    Arrived,
     Side,
+    Sums,
     Tile,
     Walks,
     batch_rows,
     empty_table,
     make_side,
+    make_sums,
     make_tile,
+    nothing_arrived,
 )
-from soundspaces_sim.transport.walks import make_left, make_walks
+from soundspaces_sim.transport.walks import make_vertices, make_walks
 
 Progress = Callable[[int], None]  # points traced
 _STUDENT = np.sqrt(
@@ -45,6 +49,15 @@ _STUDENT = np.sqrt(
 _UNKNOWN = 1.0  # relative error of energy that one batch carries
 _LARGEST_KNOWN = 0.5
 _ROOM = 2**29  # bytes for the tables of points that are traced together, if threads have one each
+
+
+class Made(NamedTuple):
+    """What techniques make of a tile."""
+
+    tile: Tile
+    walks: tuple[Walks, Walks]  # of its sides
+    arrived: Arrived
+    sums: Sums
 
 
 def simulate_tile(
@@ -69,47 +82,46 @@ def trace_tile(
     kept: KeptTraces | None = None,
 ) -> Traced:
     """What `simulate_tile` smooths. `kept`: of this model, what is traced for several tiles."""
-    tile, _ = run_techniques(model, a, b, both_ways, progress, techniques, kept)
-    count(pairs=len(tile.pairs))
-    return traced(model, tile, a, b, both_ways)
+    made = run_techniques(model, a, b, both_ways, progress, techniques, kept)
+    count(pairs=len(made.tile.pairs))
+    return traced(made, both_ways)
 
 
 @stage("echograms and error bars")
-def traced(model: Model, tile: Tile, a: np.ndarray, b: np.ndarray | None, both_ways: bool) -> Traced:
-    """What is in a tile's tables."""
-    points_b = a if b is None else b
-    early = PathTable.concatenate(list(tile.discrete.values()), model.world.air.shape[1]).sorted()
-    batches = tile.batches[:, :, :BATCHES]
-    error = _relative_error(model, tile, early, batches)
-    check_sums(error, Origin("error bars", a, points_b, model.config.bands))
+def traced(made: Made, both_ways: bool) -> Traced:
+    """What is in a tile's tables as echograms."""
+    tile, sums, arrived = made.tile, made.sums, made.arrived
+    model, a, b, distance = tile.model, tile.a.given, tile.b.given, tile.distance
+    early = arrived.paths.sorted()
+    batches = sums.batches[:, :, :BATCHES]
+    error = _relative_error(made, early, batches)
+    check_sums(error, Origin("error bars", a, b, model.config.bands))
     error = stated(error)
-    forward = _collect(
-        model, a, points_b, tile.to_b, tile.direct, tile.distance, tile.walls, early, error
-    )
+    forward = _collect(model, a, b, sums.to_b, arrived.direct, distance, arrived.walls, early, error)
     forward = replace(
         forward,
         measure_error=np.where(
             np.isfinite(error).all(axis=2)[:, :, None],
-            measure_errors(forward, batches, tile.difference, model.world.window_of_bin, tile.same),
+            measure_errors(forward, batches, sums.difference, model.world.window_of_bin, tile.same),
             np.nan,
         ).astype(np.float32),
     )
-    moments, of_windows = moments_of(tile), _error_of_windows(batches)
-    if b is None or not both_ways:
-        return Traced(forward, None, tile.difference, of_windows, moments, tile.same)
+    moments, of_windows = moments_of(model, sums), _error_of_windows(batches)
+    if tile.same or not both_ways:
+        return Traced(forward, None, sums.difference, of_windows, moments, tile.same)
     backward = _collect(
         model,
-        points_b,
+        b,
         a,
-        tile.to_a,
-        tile.direct.transpose(1, 0, 2),
-        tile.distance.T,
-        tile.walls.T,
-        early.reversed(tile.distance).sorted(),
+        sums.to_a,
+        arrived.direct.transpose(1, 0, 2),
+        distance.T,
+        arrived.walls.T,
+        early.reversed(distance).sorted(),
         error.transpose(1, 0, 2, 3),
     )
     backward = with_errors_of(forward, backward)
-    return Traced(forward, backward, tile.difference, of_windows, moments, False)
+    return Traced(forward, backward, sums.difference, of_windows, moments, False)
 
 
 def run_techniques(
@@ -120,127 +132,133 @@ def run_techniques(
     progress: Progress | None = None,
     techniques: Sequence[Technique] = TECHNIQUES,
     kept: KeptTraces | None = None,
-) -> tuple[Tile, tuple[Walks, Walks]]:
-    """A tile with what techniques bring to it, and the walks of its sides; as for `trace_tile`."""
+) -> Made:
+    """What techniques make of a tile, in three stages; as for `trace_tile`."""
     check_requirements(techniques)
     make = partial(make_side, model) if kept is None else kept.side
     with stage("detectors and tables"):
         side_a = make(a)
-        side_b = side_a if b is None else make(b)
-        tile = make_tile(model, side_a, side_b, both_ways)
-    walks = _trace(tile, techniques, progress, kept)
-    connect_all(tile, techniques, walks)
-    if tile.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
-        i, j = np.nonzero(side_a.ends.keys[:, None] == side_b.ends.keys)
-        tile.to_a[j, i] = tile.to_b[i, j]
+        tile = make_tile(side_a, side_a if b is None else make(b))
+        sums = make_sums(tile, both_ways)
+    walks = _trace(tile, sums, techniques, progress, kept)
+    arrived = arrived_at(tile, techniques)
+    join_walks(tile, walks, sums, techniques)
+    if sums.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
+        i, j = np.nonzero(side_a.ends.keys[:, None] == tile.b.ends.keys)
+        sums.to_a[j, i] = sums.to_b[i, j]
     if tile.same:  # each pair was closed once: mirror its batches
         lower = np.tri(len(a), k=-1, dtype=bool)
-        tile.batches[lower] = tile.batches.transpose(1, 0, 2, 3, 4)[lower]
-    return tile, walks
+        sums.batches[lower] = sums.batches.transpose(1, 0, 2, 3, 4)[lower]
+    return Made(tile, walks, arrived, sums)
 
 
-def connect_all(
-    tile: Tile, techniques: Sequence[Technique], walks: tuple[Walks, Walks] | None = None
-) -> None:
-    """What techniques make pair by pair, into a tile; of `walks` of its sides, if there were any."""
+def arrived_at(tile: Tile, techniques: Sequence[Technique]) -> Arrived:
+    """What arrives discretely between the points of a tile by all techniques, of which one knows the direct
+    sound."""
+    found = nothing_arrived(tile)
     for technique in techniques:
-        if technique.connect is None and technique.join is None:
-            continue
-        with stage(technique.name):
-            if technique.connect is not None and (found := technique.connect(tile)) is not None:
-                tile.discrete[technique.name] = found
-                count(deposits=len(found.pair))
-            if technique.join is not None:
-                assert walks is not None, f"{technique.name} joins walks"
-                technique.join(tile, *walks)
-            _check(tile, technique)
+        if technique.connect is not None:
+            with stage(technique.name):
+                more = technique.connect(tile)
+                count(deposits=len(more.paths.pair))
+                origin = _origin(technique.name, tile.a, tile.b)
+                check_sums(more.direct, origin)
+                check_paths(more.paths.pair, more.paths.energy, origin)
+            paths = PathTable.concatenate([found.paths, more.paths], tile.shape[2])
+            found = Arrived(found.direct + more.direct, found.walls + more.walls, paths)
+    return found
+
+
+def join_walks(
+    tile: Tile, walks: tuple[Walks, Walks], sums: Sums, techniques: Sequence[Technique]
+) -> None:
+    """Add what techniques make of pairs of walks."""
+    for technique in techniques:
+        if technique.join is not None:
+            with stage(technique.name):
+                technique.join(tile, *walks, sums)
+                check_table(sums.to_b, _origin(technique.name, tile.a, tile.b))
+                if not tile.same:
+                    check_table(sums.to_a, _origin(technique.name, tile.b, tile.a))
 
 
 def _trace(
     tile: Tile,
+    sums: Sums,
     techniques: Sequence[Technique],
     progress: Progress | None,
     kept: KeptTraces | None,
 ) -> tuple[Walks, Walks]:
     """Subpaths of all points into the tables: what arrives at b is a -> b, what left b for a is it as well. Returns
-    what they leave, of a and of b.
+    the walks of a and of b.
 
     Some points at a time, into tables of their own. A pair's cell gets one addend from either end, so it does not
     matter which comes first.
     """
-    back_wanted, done = not tile.same and tile.to_a.shape[2] > 0, 0
+    back_wanted, done = not tile.same and sums.to_a.shape[2] > 0, 0
     walks: list[Walks] = []
     for own, other in [(tile.a, tile.b)] if tile.same else [(tile.a, tile.b), (tile.b, tile.a)]:
         of_a, of_b = own is tile.a, own is tile.b
-        if kept is None:
-            left, wanted = make_left(own), (of_a or back_wanted, of_b or back_wanted)
-            traced = _trace_rows(tile, techniques, wanted, own, other, left)
-            walks_of = partial(make_walks, own, left)
-        else:
-            trace = partial(_trace_rows, tile, techniques, (True, True))
-            traced, walks_of = kept.rows(own.given, other.given, trace), partial(kept.walks, own.given)
-        for rows, tables in traced:
+
+        def add(rows: slice, tables: Tables, of_a: bool = of_a, of_b: bool = of_b) -> None:
+            nonlocal done
             if of_a:
-                _add(tile.to_b[rows], tables.arrive)
-                tile.batches[rows] += tables.batches
-                tile.difference[rows] += _late_energy(tile, tables.arrive)
+                _add(sums.to_b[rows], tables.arrive)
+                sums.batches[rows] += tables.batches
+                sums.difference[rows] += _late_energy(sums, tables.arrive)
             if of_b:
-                _add(tile.to_b[:, rows], tables.leave.swapaxes(0, 1))
-                tile.batches[:, rows] += tables.batches.swapaxes(0, 1)
-                tile.difference[:, rows] -= _late_energy(tile, tables.leave).swapaxes(0, 1)
+                _add(sums.to_b[:, rows], tables.leave.swapaxes(0, 1))
+                sums.batches[:, rows] += tables.batches.swapaxes(0, 1)
+                sums.difference[:, rows] -= _late_energy(sums, tables.leave).swapaxes(0, 1)
             if back_wanted and of_a:
-                _add(tile.to_a[:, rows], tables.leave.swapaxes(0, 1))
+                _add(sums.to_a[:, rows], tables.leave.swapaxes(0, 1))
             if back_wanted and of_b:
-                _add(tile.to_a[rows], tables.arrive)
+                _add(sums.to_a[rows], tables.arrive)
             done += rows.stop - rows.start
             if progress is not None:
                 progress(done)
-        walks.append(walks_of())
+
+        if kept is None:
+            wanted = of_a or back_wanted, of_b or back_wanted
+            walks.append(_trace_side(techniques, wanted, own, other, add))
+        else:
+            trace = partial(_trace_side, techniques, (True, True))
+            walks.append(kept.trace(own.given, other.given, trace, add))
     return walks[0], walks[-1]
 
 
-def _trace_rows(
-    tile: Tile,
+def _trace_side(
     techniques: Sequence[Technique],
     wanted: tuple[bool, bool],
     own: Side,
     other: Side,
-    left: Left,
-) -> Iterator[tuple[slice, Tables]]:
-    """Rows of `own` and what their subpaths deposit at the points of `other`; the tables are used again. `wanted`:
-    what arrives, what leaves. `left`: what else they leave."""
+    add: Callable[[slice, Tables], None],
+) -> Walks:
+    """The walks of `own`. `add` gets rows of it and what their subpaths deposit at the points of `other`, in tables
+    that are used again. `wanted`: what arrives, what leaves."""
     shape = len(own.ends.points), len(other.ends.points)
-    chunk = len((fresh := _room(tile.model, *shape, *wanted)).batches)
+    chunk = len((fresh := _room(own.model, *shape, *wanted)).batches)
+    vertices, reflections = make_vertices(own), []
+    traces = [(t.name, t.trace(own, other)) for t in techniques if t.trace is not None]
     for start in range(0, shape[0], chunk):
         rows = slice(start, min(start + chunk, shape[0]))
         tables = Tables(*(table[: rows.stop - start] for table in fresh))
         for table in tables:
             over_rows(_clear, len(table), table, least=rows_of_thread(table))
-        origin = _origin(tile, "", own, other, rows)
-        for technique in techniques:
-            if technique.trace is not None:
-                with stage(technique.name):
-                    technique.trace(tile, own, other, rows, tables, left)
-                    for table in (tables.arrive, tables.leave):
-                        check_table(table, origin._replace(technique=technique.name))
-        yield rows, tables
+        for name, trace in traces:
+            with stage(name):
+                left = trace(rows, tables, Vertices(*(column[rows] for column in vertices)))
+                if left is not None:
+                    reflections.append(left)
+                for table in (tables.arrive, tables.leave):
+                    check_table(table, _origin(name, own, other, rows))
+        add(rows, tables)
+    del traces  # and their room
+    return make_walks(own, vertices, reflections)
 
 
-def _origin(tile: Tile, technique: str, a: Side, b: Side, rows: slice = slice(None)) -> Origin:
-    center, bands = tile.model.scene.center, tile.model.config.bands
-    return Origin(technique, a.ends.points[rows] + center, b.ends.points + center, bands)
-
-
-def _check(tile: Tile, technique: Technique) -> None:
-    """Raise `SimulationError` unless what the `connect` of a technique has added to a tile can be."""
-    origin = _origin(tile, technique.name, tile.a, tile.b)
-    if technique.deposits:
-        check_table(tile.to_b, origin)
-        if not tile.same:
-            check_table(tile.to_a, _origin(tile, technique.name, tile.b, tile.a))
-    check_sums(tile.direct, origin)
-    for paths in tile.discrete.values():
-        check_paths(paths.pair, paths.energy, origin)
+def _origin(technique: str, a: Side, b: Side, rows: slice = slice(None)) -> Origin:
+    return Origin(technique, a.given[rows], b.given, a.model.config.bands)
 
 
 def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> Tables:
@@ -269,9 +287,9 @@ def _add(table: np.ndarray, more: np.ndarray) -> None:
     over_rows(call, len(table), least=rows_of_thread(table))
 
 
-def _late_energy(tile: Tile, table: np.ndarray) -> np.ndarray:
+def _late_energy(sums: Sums, table: np.ndarray) -> np.ndarray:
     """(rows, columns, bins, b): of the bins that `difference` has."""
-    bins = tile.difference.shape[2]
+    bins = sums.difference.shape[2]
     return table[:, :, table.shape[2] - bins :, 0]
 
 
@@ -289,7 +307,7 @@ def _error_of_windows(batches: np.ndarray) -> np.ndarray:
     return out
 
 
-def _relative_error(model: Model, tile: Tile, early: PathTable, batches: np.ndarray) -> np.ndarray:
+def _relative_error(made: Made, early: PathTable, batches: np.ndarray) -> np.ndarray:
     """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and
     later.
 
@@ -298,23 +316,22 @@ def _relative_error(model: Model, tile: Tile, early: PathTable, batches: np.ndar
     cannot explain, half of that is the error: rare subpaths that carry much may be in no batch of one end. It is
     `_UNKNOWN` where few batches carry the energy.
     """
-    out = np.empty((*tile.distance.shape, 2, batches.shape[4]))
-    columns = tile.distance.shape[1]
-    start = np.searchsorted(early.pair, np.arange(len(out) + 1) * columns)
+    rows, columns, bands = made.tile.shape
+    out = np.empty((rows, columns, 2, bands))
+    start = np.searchsorted(early.pair, np.arange(rows + 1) * columns)
 
     def call(first: int, last: int) -> None:
         for i in range(first, last):  # one by one: they stay in a cache
             paths = slice(start[i], start[i + 1])
             own = early.pair[paths] - i * columns, early.length[paths], early.energy[paths]
-            out[i] = _errors_of_point(model, tile, i, *own, batches[i])
+            out[i] = _errors_of_point(made, i, *own, batches[i])
 
     over_rows(call, len(out), chunk=1)
     return out
 
 
 def _errors_of_point(
-    model: Model,
-    tile: Tile,
+    made: Made,
     i: int,
     listener: np.ndarray,
     path_length: np.ndarray,
@@ -322,7 +339,8 @@ def _errors_of_point(
     batches: np.ndarray,
 ) -> np.ndarray:
     """(L, 2, b) `_relative_error` of source `i`, whose discrete paths are given with the `listener` of each."""
-    energy, difference = tile.to_b[i, :, :, 0], tile.difference[i]
+    tile, model = made.tile, made.tile.model
+    energy, difference = made.sums.to_b[i, :, :, 0], made.sums.difference[i]
     edges, window = model.time_edges, model.world.window_of_bin
     starts = np.append(edges[np.unique(window, return_index=True)[1]], edges[-1])
     split = (tile.distance[i] / model.config.c + EARLY_S)[:, None]
@@ -341,7 +359,7 @@ def _errors_of_point(
     spread = np.where(apart > UNLIKELY * spread, apart, spread)
     late_energy = np.einsum("lt,ltb->lb", share, energy)
     reference = np.stack([energy.sum(axis=1) - late_energy, late_energy], axis=1).astype(float)
-    reference[:, 0] += tile.direct[i]
+    reference[:, 0] += made.arrived.direct[i]
     late = path_length / model.config.c > split[listener, 0]
     np.add.at(reference, (listener, late.astype(int)), path_energy)
     error = np.divide(spread, reference, out=np.zeros_like(spread), where=reference > 0.0)

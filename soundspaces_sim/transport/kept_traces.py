@@ -14,7 +14,7 @@ from __future__ import annotations
 import logging
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,15 +22,15 @@ import numpy as np
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import CHANNELS
-from soundspaces_sim.transport.tile import Left, Side, Walks, batch_rows, make_side
-from soundspaces_sim.transport.walks import make_left, make_walks
+from soundspaces_sim.transport.tile import Side, Walks, batch_rows, make_side
 
 MEMORY = 1e9  # bytes of tables that are kept in memory
 _SPARE = 2.0  # times what is written that must be free on the disk
 _log = logging.getLogger(__name__)
 
-#: Rows of the first side, at the second; what they leave.
-TraceRows = Callable[[Side, Side, Left], Iterator[tuple[slice, Tables]]]
+Add = Callable[[slice, Tables], None]
+#: The walks of the first side; what they deposit at the second is added.
+TraceSide = Callable[[Side, Side, Add], Walks]
 _Key = bytes
 
 
@@ -67,32 +67,27 @@ class KeptTraces:
             self._sides[key] = make_side(self.model, points)
         return self._sides[key]
 
-    def rows(
-        self, own: np.ndarray, other: np.ndarray, trace: TraceRows
-    ) -> Iterator[tuple[slice, Tables]]:
-        """What subpaths of a block leave at the points of another, some rows at a time; `trace` traces them."""
+    def trace(self, own: np.ndarray, other: np.ndarray, trace: TraceSide, add: Add) -> Walks:
+        """The walks of a block, whose deposits at the points of another `add` gets; `trace` traces them."""
         key, wanted = _key(own), _key(other)
         found = self._parts.pop((key, wanted), None)
         if found is not None:
-            yield slice(0, len(own)), found
-            return
+            add(slice(0, len(own)), found)
+            return self._walks[key]
         side = self.side(own)
         later = self._room_for(key, wanted)
         blocks = [other, *(self._points[k] for k in later)]
         detectors = make_side(self.model, np.concatenate(blocks)) if later else self.side(other)
         ends = np.cumsum([len(block) for block in blocks])
-        left = make_left(side)
-        for rows, tables in trace(side, detectors, left):
+
+        def add_part(rows: slice, tables: Tables) -> None:
             for k, first, last in zip(later, ends[:-1], ends[1:], strict=True):
                 for kept, table in zip(self._parts[key, k], tables, strict=True):
                     kept[rows] = table[:, first:last]
-            yield rows, Tables(*(table[:, : ends[0]] for table in tables))
-        if key not in self._walks:  # the same each time that they are traced
-            self._walks[key] = make_walks(side, left)
+            add(rows, Tables(*(table[:, : ends[0]] for table in tables)))
 
-    def walks(self, own: np.ndarray) -> Walks:
-        """What subpaths of a block left, once `rows` of it were gone through."""
-        return self._walks[_key(own)]
+        walks = trace(side, detectors, add_part)
+        return self._walks.setdefault(key, walks)  # the same each time that they are traced
 
     def _room_for(self, key: _Key, wanted: _Key) -> list[_Key]:
         """Blocks beside the one that is `wanted` with which a block is still to be paired, with room for them."""

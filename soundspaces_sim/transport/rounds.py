@@ -17,7 +17,7 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Technique
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Arrived, Tile
 
 _FIRST = 192  # subpaths: 5 % in a shoebox of 150 m³; with 128 a second round is more often needed than worth it
 _UNKNOWN_TIMES = 7  # as many more subpaths where the first are too few to know the error
@@ -83,10 +83,11 @@ def known_arrivals(first: Echograms, rows: np.ndarray, columns: np.ndarray) -> T
         groups=early.groups[at],
     )
 
-    def connect(tile: Tile) -> PathTable:
-        tile.direct[:] = first.direct_energy[np.ix_(rows, columns)]
-        tile.walls[:] = first.walls[np.ix_(rows, columns)]
-        return table
+    cells = np.ix_(rows, columns)
+    arrived = Arrived(first.direct_energy[cells], first.walls[cells], table)
+
+    def connect(_: Tile) -> Arrived:
+        return arrived
 
     return Technique("known arrivals", "those of the first round", connect=connect)
 

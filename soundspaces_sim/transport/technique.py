@@ -2,11 +2,11 @@
 
     prepare(scene, config)                each made once per scene; `PreparedScene.part(prepare)` gives it
     mark(facets, prepared, duration)      facets on which subpaths leave paths to it
-    trace(tile, own, other, rows, tables, left)
-                                          subpaths of some points of a side: what they deposit at points of the
-                                          other goes into `tables`, what they leave for others into `left`
-    connect(tile)                         what is made of pairs of points alone; returns discrete paths, if any
-    join(tile, of_a, of_b)                what is made of pairs of walks: of what subpaths of both sides left
+    trace(own, other)                     a function that traces subpaths of some rows of `own`: it fills `tables`
+                                          of what they deposit at points of `other` and `vertices` for connections,
+                                          and returns first reflections for radiance transfer
+    connect(tile)                         what arrives discretely, which is made of pairs of points alone
+    join(tile, of_a, of_b, sums)          what is made of pairs of walks, added to the sums of a tile
     settle(model, points)                 the config with what it leaves to a job of so many points decided
     describe(model)                       a line for the log: whether it takes part, and why
 
@@ -24,10 +24,9 @@ from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.transport.model import Model, Prepare, PreparedScene
-from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.radiance_transfer.patches import Patches
-from soundspaces_sim.transport.state import Tables
-from soundspaces_sim.transport.tile import Left, Side, Tile, Walks
+from soundspaces_sim.transport.state import ReflectionBlock, Tables, Vertices
+from soundspaces_sim.transport.tile import Arrived, Side, Sums, Tile, Walks
 
 
 class Facets(NamedTuple):
@@ -38,15 +37,16 @@ class Facets(NamedTuple):
 
 
 Mark = Callable[[Facets, PreparedScene, float], Facets]
-Trace = Callable[[Tile, Side, Side, slice, Tables, Left], None]
-Connect = Callable[[Tile], PathTable | None]
-Join = Callable[[Tile, Walks, Walks], None]
+TraceRows = Callable[[slice, Tables, Vertices], ReflectionBlock | None]
+Trace = Callable[[Side, Side], TraceRows]
+Connect = Callable[[Tile], Arrived]
+Join = Callable[[Tile, Walks, Walks, Sums], None]
 
 
 @dataclass(frozen=True)
 class Technique:
     """`paths`: those it makes, for people. `requires`: names of techniques whose results it takes; they run before
-    it. `deposits`: it adds to a tile's tables, not to its discrete paths."""
+    it."""
 
     name: str
     paths: str
@@ -56,7 +56,6 @@ class Technique:
     connect: Connect | None = None
     join: Join | None = None
     requires: tuple[str, ...] = ()
-    deposits: bool = False
     settle: Callable[[Model, int], SimulationConfig] | None = None
     describe: Callable[[Model], str] | None = None
 

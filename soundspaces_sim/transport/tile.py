@@ -1,8 +1,9 @@
-"""What a tile consists of on its way from points to echograms: two sides, and the tables between them."""
+"""What a tile consists of on its way from points to echograms: two sides, what their subpaths leave, and tables."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.paths.detector import make_detectors
 from soundspaces_sim.transport.radiance_transfer.first_reflections import Reflections
-from soundspaces_sim.transport.state import Ends, ReflectionBlock, Vertices
+from soundspaces_sim.transport.state import Ends, Vertices
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, count_rows
 
 
@@ -28,20 +29,6 @@ class Side(Once):
     ends: Ends
 
 
-@dataclass
-class Left:
-    """What subpaths of a side's points leave for techniques that join both sides, while they are traced.
-
-    Receiver volumes fill `vertices`, of connected subpaths, in the rows that they trace. Specular subpaths add to
-    `reflections`, the first diffuse ones of consecutive points, packed; `room` is theirs alone, for points that are
-    traced together.
-    """
-
-    vertices: Vertices
-    reflections: list[ReflectionBlock] = field(default_factory=list)
-    room: ReflectionBlock | None = None
-
-
 @dataclass(frozen=True)
 class Walks(Once):
     """What subpaths of all points of a side have left. Techniques keep on it what they make of it
@@ -52,41 +39,50 @@ class Walks(Once):
     reflections: Reflections | None  # where radiance transfer takes part
 
 
-@dataclass
+@dataclass(frozen=True)
 class Tile:
-    """All that is between two sides; `a is b` for all pairs of one side.
-
-    Techniques add to `to_b` (A, B, bins, 9, b), energy a -> b; to `to_a` (B, A, bins, 9, b), which has no bins if
-    it is not wanted; to `batches` (A, B, rows, windows, b), see `state.Tables`; to `difference` (A, B,
-    late bins, b), without bins if they are not smoothed, half of what both ends' estimates differ by; and set the
-    direct sound: `direct` (A, B, b) with air, `walls` (A, B) that it crosses. `discrete`: discrete paths by the
-    technique's name.
-    """
+    """Two sides, whose pairs are wanted; `a is b` for all pairs of one side."""
 
     model: Model
     a: Side
     b: Side
     distance: np.ndarray  # (A, B) m
-    to_b: np.ndarray
-    to_a: np.ndarray
-    batches: np.ndarray
-    difference: np.ndarray
-    direct: np.ndarray
-    walls: np.ndarray
-    discrete: dict[str, PathTable] = field(default_factory=dict)
 
     @property
     def same(self) -> bool:
         return self.a is self.b
 
     @property
+    def shape(self) -> tuple[int, int, int]:
+        """(A, B, b): points of either side and bands."""
+        return *self.distance.shape, self.model.world.air.shape[1]
+
+    @property
     def pairs(self) -> np.ndarray:
         """(n, 2) rows of a and b; each pair of one side once."""
-        shape = len(self.a.ends.points), len(self.b.ends.points)
+        shape = self.distance.shape
         chosen = np.tri(shape[0], dtype=bool).T if self.same else np.ones(shape, bool)
         return np.ascontiguousarray(
             np.argwhere(chosen)
         )  # the layout of one pair, for one version of kernels
+
+
+class Sums(NamedTuple):
+    """The tables of a tile, to which walks and pairs of walks add."""
+
+    to_b: np.ndarray  # (A, B, bins, 9, b), energy a -> b
+    to_a: np.ndarray  # (B, A, bins, 9, b), `to_b` itself for one side; without bins if it is not wanted
+    batches: np.ndarray  # (A, B, rows, windows, b), see `state.Tables`
+    #: (A, B, late bins, b), without bins if they are not smoothed: half of what both ends' estimates differ by
+    difference: np.ndarray
+
+
+class Arrived(NamedTuple):
+    """What arrives discretely between the points of a tile. The direct sound is not among the paths."""
+
+    direct: np.ndarray  # (A, B, b) with air
+    walls: np.ndarray  # (A, B) that the direct sound crosses
+    paths: PathTable
 
 
 def make_side(model: Model, points: np.ndarray) -> Side:
@@ -97,27 +93,33 @@ def make_side(model: Model, points: np.ndarray) -> Side:
     return Side(model, points, Ends(local, keys, detectors))
 
 
-def make_tile(model: Model, a: Side, b: Side, both_ways: bool) -> Tile:
-    """An empty tile between two sides."""
-    shape, bands = (len(a.ends.points), len(b.ends.points)), model.world.air.shape[1]
+def make_tile(a: Side, b: Side) -> Tile:
+    """A tile between two sides."""
     p, q = a.given[:, None], b.given[None]
-    distance = np.sqrt(((q - p) ** 2).sum(axis=2))
-    to_b = empty_table(model, *shape)
-    to_a = to_b if a is b else empty_table(model, shape[1], shape[0], both_ways)
+    return Tile(a.model, a, b, np.sqrt(((q - p) ** 2).sum(axis=2)))
+
+
+def make_sums(tile: Tile, both_ways: bool) -> Sums:
+    """Empty tables of a tile."""
+    model, (rows, columns, bands) = tile.model, tile.shape
+    to_b = empty_table(model, rows, columns)
     late = 0
     if model.config.denoise:
         late = len(model.time_edges) - 1 - first_late(model.time_edges, model.config.connections.window)
-    return Tile(
-        model,
-        a,
-        b,
-        distance,
+    return Sums(
         to_b,
-        to_a,
-        np.zeros((*shape, batch_rows(model), model.windows, bands), np.float32),
-        np.zeros((*shape, late, bands), np.float32),
-        np.zeros((*shape, bands)),
-        np.zeros(shape, np.int64),
+        to_b if tile.same else empty_table(model, columns, rows, both_ways),
+        np.zeros((rows, columns, batch_rows(model), model.windows, bands), np.float32),
+        np.zeros((rows, columns, late, bands), np.float32),
+    )
+
+
+def nothing_arrived(tile: Tile) -> Arrived:
+    """Of a tile between whose points nothing arrives discretely."""
+    return Arrived(
+        np.zeros(tile.shape),
+        np.zeros(tile.shape[:2], np.int64),
+        PathTable.concatenate([], tile.shape[2]),
     )
 
 

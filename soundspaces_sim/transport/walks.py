@@ -1,4 +1,4 @@
-"""What subpaths of a side leave for techniques that join both sides: room for it, and the whole of it."""
+"""What subpaths of a side leave for techniques that join both sides: room for vertices, and the whole of it."""
 
 from __future__ import annotations
 
@@ -9,33 +9,30 @@ from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.radiance_transfer.first_reflections import gather_reflections
 from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
-from soundspaces_sim.transport.state import VERTEX, Vertices
+from soundspaces_sim.transport.state import VERTEX, ReflectionBlock, Vertices
 from soundspaces_sim.transport.tables import CHANNELS
-from soundspaces_sim.transport.tile import Left, Side, Walks
+from soundspaces_sim.transport.tile import Side, Walks
 
 
-def make_left(side: Side) -> Left:
-    """Room for what subpaths of a side's points will leave."""
+def make_vertices(side: Side) -> Vertices:
+    """Room for those of all points of a side; none before they are traced."""
     settings, bands = side.model.world.settings, side.model.world.air.shape[1]
     depth = settings.connection_depth if settings.connection_length > 0.0 else 1
     shape, surfaces = (len(side.ends.points), settings.connected), side.model.world.surfaces
-    return Left(
-        Vertices(
-            np.empty((*shape, depth), VERTEX),
-            np.empty((*shape, depth, bands)),
-            np.zeros(shape, np.int64),
-            np.empty((*shape, CHANNELS)),
-            np.empty((*shape, depth, group_count(surfaces)), np.uint16),
-            np.empty((*shape, depth, score_count(surfaces), bands)),
-        )
+    return Vertices(
+        np.empty((*shape, depth), VERTEX),
+        np.empty((*shape, depth, bands)),
+        np.zeros(shape, np.int64),
+        np.empty((*shape, CHANNELS)),
+        np.empty((*shape, depth, group_count(surfaces)), np.uint16),
+        np.empty((*shape, depth, score_count(surfaces), bands)),
     )
 
 
-def make_walks(side: Side, left: Left) -> Walks:
-    """What was left, in one piece. Uses it up."""
-    if not left.reflections:
-        return Walks(side, left.vertices, None)
-    left.room, decay = None, side.model.once(late_decay)
+def make_walks(side: Side, vertices: Vertices, reflections: list[ReflectionBlock]) -> Walks:
+    """Vertices, and first diffuse reflections of consecutive points in one piece; these are used up."""
+    if not reflections:
+        return Walks(side, vertices, None)
+    decay = side.model.once(late_decay)
     with stage("first reflections"):
-        reflections = gather_reflections(left.reflections, decay.rate, decay.reach)
-    return Walks(side, left.vertices, reflections)
+        return Walks(side, vertices, gather_reflections(reflections, decay.rate, decay.reach))

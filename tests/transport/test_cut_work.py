@@ -15,7 +15,7 @@ from soundspaces_sim.transport.paths.population import resample
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer.first_reflections import room_for
 from soundspaces_sim.transport.state import Emitters, Receivers, Settings, Tables, emitters_of
-from soundspaces_sim.transport.tile import make_side, make_tile
+from soundspaces_sim.transport.tile import make_side, make_sums, make_tile
 from tests.rooms import box, plain, table
 
 LENGTH = 64.0  # m
@@ -60,16 +60,16 @@ def _followed(step: float) -> tuple[np.ndarray, np.ndarray]:
     config = plain(duration=0.3, walks=1024, radiance_transfer=False)
     model = make_model(scene, POINTS, config)
     side = make_side(model, POINTS)
-    tile = make_tile(model, side, side, both_ways=False)
+    sums = make_sums(make_tile(side, side), both_ways=False)
     emitters = emitters_of(side.ends, slice(1))
     tallies: list[np.ndarray] = []
     work = specular._make_work(model.world, side.ends.detectors, tallies)
     over_rows(
         _follow, 1, specular._Scene(model.world, np.zeros(model.world.air.shape[1])), emitters,
         Receivers(side.ends.detectors, emitters.section[0]), room_for(1, 0, model.world),
-        Tables(tile.to_b[0], tile.to_b[0, :, :0], tile.batches[0]), work, step,
+        Tables(sums.to_b[0], sums.to_b[0, :, :0], sums.batches[0]), work, step,
     )  # fmt: skip
-    return work.paths.state.copy(), tile.to_b[0]
+    return work.paths.state.copy(), sums.to_b[0]
 
 
 def test_subpaths_go_on_alike_wherever_they_are_cut() -> None:

@@ -22,7 +22,7 @@ from soundspaces_sim.transport.radiance_transfer.plan import make_transfer_plan
 from soundspaces_sim.transport.radiance_transfer.technique import RADIANCE_TRANSFER
 from soundspaces_sim.transport.simulate import model_between
 from soundspaces_sim.transport.tables import BATCHES
-from soundspaces_sim.transport.tile import Side, make_side, make_tile
+from soundspaces_sim.transport.tile import Side, make_side, make_sums, make_tile
 
 RUNS = 10
 
@@ -90,15 +90,15 @@ def test_error_bars_are_those_of_products_at_full_resolution() -> None:
     ratios = []
     for point in points[1:4]:
         a, b = replace(source), _runs_of(model, point)
-        tile = make_tile(model, a, b, False)
-        walks = integrator._trace(tile, [SPECULAR], None, None)
-        tile.batches[:] = 0.0
-        integrator.connect_all(tile, [RADIANCE_TRANSFER], walks)
+        tile = make_tile(a, b)
+        walks = integrator._trace(tile, make_sums(tile, False), [SPECULAR], None, None)
+        sums = make_sums(tile, False)
+        integrator.join_walks(tile, walks, sums, [RADIANCE_TRANSFER])
         of_a, of_b = (of_side.once(make_endpoints) for of_side in walks)
         split = tile.distance[0, 0] / model.config.c + EARLY_S
         variances = []
         for i in range(RUNS):
-            coarse = _by_window(starts, split, tile.batches[i, i, :BATCHES].astype(float))
+            coarse = _by_window(starts, split, sums.batches[i, i, :BATCHES].astype(float))
             both = [
                 transfer(plan, _apart(of, i), _alone(to, i)) for of, to in ((of_a, of_b), (of_b, of_a))
             ]

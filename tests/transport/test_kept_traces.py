@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from soundspaces_sim.transport.kept_traces import MEMORY, KeptTraces
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
+from soundspaces_sim.transport.tile import Walks
 
 SIZE = (6.0, 5.0, 2.7)
 CONFIG = ss.SimulationConfig(walks=16, duration=0.2)
@@ -36,15 +36,13 @@ def model() -> Model:
 def traced(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many points are traced, call by call."""
     calls: list[int] = []
-    trace = integrator._trace_rows
+    trace = integrator._trace_side
 
-    def counted(
-        tile: Any, techniques: Any, wanted: Any, own: Any, other: Any, left: Any
-    ) -> Iterator[Any]:
+    def counted(techniques: Any, wanted: Any, own: Any, other: Any, add: Any) -> Walks:
         calls.append(len(own.ends.points))
-        return trace(tile, techniques, wanted, own, other, left)
+        return trace(techniques, wanted, own, other, add)
 
-    monkeypatch.setattr(integrator, "_trace_rows", counted)
+    monkeypatch.setattr(integrator, "_trace_side", counted)
     return calls
 
 

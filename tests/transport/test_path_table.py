@@ -118,7 +118,7 @@ def _tile(same: bool) -> Tile:
     scene = box((4.0, 3.0, 2.5), table(0.3, 0.2))
     model = make_model(scene, POINTS, plain(walks=16, duration=0.1))
     a = make_side(model, POINTS)
-    return make_tile(model, a, a if same else make_side(model, POINTS[:3] + 0.1), True)
+    return make_tile(a, a if same else make_side(model, POINTS[:3] + 0.1))
 
 
 @pytest.mark.parametrize("same", [True, False])

@@ -14,7 +14,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.reflection_counts.of_tile import CountMoments, counts_of, moments_of
 from soundspaces_sim.transport.tables import BATCHES
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Sums
 from tests.marks import CI_SLOW
 from tests.rooms import box, plain, table, two_rooms
 
@@ -168,11 +168,11 @@ def test_errors_of_windows_are_those_of_closure_and_walks(monkeypatch: pytest.Mo
     walls = ss.MaterialTable(("m0", "m1", "m2"), 62.5 * 2.0 ** np.arange(8), both, still + 0.5, still)
     edges = tuple(62.5 * 2.0 ** (np.arange(9) - 0.5))
     config = plain(walks=160, duration=0.4, bands=edges, materials=True)
-    tiles: list[Tile] = []
+    tables: list[Sums] = []
 
-    def kept(tile: Tile) -> CountMoments | None:
-        tiles.append(tile)
-        return moments_of(tile)
+    def kept(model: Model, sums: Sums) -> CountMoments | None:
+        tables.append(sums)
+        return moments_of(model, sums)
 
     monkeypatch.setattr(integrator, "moments_of", kept)
     rooms, beyond = two_rooms(walls, 1), B + [3.0, 0.0, 0.0]
@@ -181,7 +181,7 @@ def test_errors_of_windows_are_those_of_closure_and_walks(monkeypatch: pytest.Mo
     echoes = _traced(model, A, beyond)
     energy, counts, first = _windows(model, echoes), echoes.counts, 3  # when something arrives
     assert counts is not None
-    batches = tiles[0].batches[:, :, :BATCHES, first:].astype(float)
+    batches = tables[0].batches[:, :, :BATCHES, first:].astype(float)
     spread = BATCHES / np.sqrt(BATCHES - 1.0) * batches.std(axis=2) / batches.sum(axis=2)
     order = [int(name[1:]) for name in counts.groups.names]
     target = np.concatenate([new[order]] * 2, axis=1)

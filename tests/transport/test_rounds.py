@@ -122,17 +122,16 @@ def test_arrivals_of_the_first_round_serve_the_others() -> None:
     rows, columns = np.array([1]), np.array([0, 1])
     technique = known_arrivals(first, rows, columns)
 
-    class Tile:
-        direct, walls = np.zeros((1, 2, 4)), np.zeros((1, 2), int)
-
     assert technique.connect is not None
-    found = technique.connect(Tile())  # type: ignore[arg-type]
-    assert found is not None and len(found.pair)
+    arrived = technique.connect(None)  # type: ignore[arg-type]
+    found = arrived.paths
+    assert len(found.pair)
     for k, l in enumerate(columns):
         arrivals = first[1, int(l)].early
         np.testing.assert_allclose(found.energy[found.pair == k], arrivals.energy)
         np.testing.assert_allclose(found.length[found.pair == k], arrivals.delay * 343.0)
-    np.testing.assert_array_equal(Tile.direct, first.direct_energy[1:2])
+    np.testing.assert_array_equal(arrived.direct, first.direct_energy[1:2])
+    np.testing.assert_array_equal(arrived.walls, first.walls[1:2])
 
 
 @ci_slow

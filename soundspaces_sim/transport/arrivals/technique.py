@@ -31,10 +31,9 @@ from soundspaces_sim.transport.arrivals.ways import make_way_scratch
 from soundspaces_sim.transport.bsdf.surface import Surfaces
 from soundspaces_sim.transport.elements import cross_walls
 from soundspaces_sim.transport.model import Model, air_transmission
-from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.state import Ends
 from soundspaces_sim.transport.technique import Technique
-from soundspaces_sim.transport.tile import Side, Tile
+from soundspaces_sim.transport.tile import Arrived, Side, Tile, nothing_arrived
 
 _LEAST_DIRECT = 1e-9  # of the unobstructed energy
 
@@ -71,11 +70,13 @@ def _direct_paths(
                     e[band] = 0.0
 
 
-def direct_sound(tile: Tile) -> None:
-    """Direct sound of every pair, without air."""
+def direct_sound(tile: Tile) -> tuple[np.ndarray, np.ndarray]:
+    """Direct sound of every pair (A, B, b), without air, and the walls (A, B) that it crosses."""
     world, a, b = tile.model.world, tile.a.ends, tile.b.ends
     scene = _Scene(world.geometry, world.surfaces, LEAST_DISTANCE)
-    over_rows(_direct_paths, len(a.points), scene, a, b, tile.direct, tile.walls)
+    direct, walls = np.zeros(tile.shape), np.zeros(tile.shape[:2], np.int64)
+    over_rows(_direct_paths, len(a.points), scene, a, b, direct, walls)
+    return direct, walls
 
 
 _ROOM = 1024  # waves of a pair that there is room for at first
@@ -116,7 +117,9 @@ def sight_of(side: Side) -> Sight:
     return find_sight(model.once(view_of), model.once(edges_of), points, keys)
 
 
-def context_of(tile: Tile) -> tuple[Context, Callable[[int], Scratch]]:
+def context_of(
+    tile: Tile, direct: np.ndarray, walls: np.ndarray
+) -> tuple[Context, Callable[[int], Scratch]]:
     """(What the kernel reads, what makes room for so many waves)."""
     model, edges = tile.model, tile.model.once(edges_of)
     spectrum = make_spectrum(model.config.bands, model.config.c)
@@ -126,9 +129,9 @@ def context_of(tile: Tile) -> tuple[Context, Callable[[int], Scratch]]:
         spectrum=spectrum,
         a=tile.a.once(sight_of),
         b=tile.b.once(sight_of),
-        walls=tile.walls,
-        direct=tile.direct,
-        joined=np.zeros_like(tile.direct),
+        walls=walls,
+        direct=direct,
+        joined=np.zeros_like(direct),
     )
     bands = spectrum.k.shape[0]
 
@@ -147,16 +150,16 @@ def context_of(tile: Tile) -> tuple[Context, Callable[[int], Scratch]]:
     return context, scratch
 
 
-def connect(tile: Tile) -> PathTable:
+def connect(tile: Tile) -> Arrived:
     """The direct sound of every pair, and its other arrivals."""
-    direct_sound(tile)
-    model, (context, scratch) = tile.model, context_of(tile)
+    direct, walls = direct_sound(tile)
+    model, (context, scratch) = tile.model, context_of(tile, direct, walls)
     paths = for_each_pair(tile, find_arrivals, context, tile.pairs, scratch, _ROOM)
-    tile.direct[:] = context.joined * air_transmission(model.config, tile.distance)
+    direct = context.joined * air_transmission(model.config, tile.distance)
     if tile.same:  # pairs i <= j were done, and count for both directions
-        upper = np.tri(len(tile.direct), dtype=bool).T[:, :, None]
-        tile.direct[:] = np.where(upper, tile.direct, tile.direct.transpose(1, 0, 2))
-    return paths
+        upper = np.tri(len(direct), dtype=bool).T[:, :, None]
+        direct = np.where(upper, direct, direct.transpose(1, 0, 2))
+    return Arrived(direct, walls, paths)
 
 
 ARRIVALS = Technique(
@@ -168,9 +171,10 @@ ARRIVALS = Technique(
 )
 
 
-def _connect_direct(tile: Tile) -> None:
-    direct_sound(tile)
-    tile.direct *= air_transmission(tile.model.config, tile.distance)
+def _connect_direct(tile: Tile) -> Arrived:
+    direct, walls = direct_sound(tile)
+    direct *= air_transmission(tile.model.config, tile.distance)
+    return nothing_arrived(tile)._replace(direct=direct, walls=walls)
 
 
 #: Of `ARRIVALS` the direct sound alone, for programs that ask for it.

@@ -31,7 +31,7 @@ from soundspaces_sim.transport.tables import (
     harmonics,
     time_bin,
 )
-from soundspaces_sim.transport.tile import Tile, Walks
+from soundspaces_sim.transport.tile import Sums, Tile, Walks
 
 _CHUNK = 32  # pairs per call
 
@@ -271,7 +271,7 @@ def _connect_pairs(
         _connect_pair(world, pair, p, q, combine(combine(key_p, 1), key_q))
 
 
-def join(tile: Tile, of_a: Walks, of_b: Walks) -> None:
+def join(tile: Tile, of_a: Walks, of_b: Walks, sums: Sums) -> None:
     """Connect the subpaths of every pair."""
     world, pairs = tile.model.world, tile.pairs
     if world.settings.connection_length <= 0.0:
@@ -291,7 +291,7 @@ def join(tile: Tile, of_a: Walks, of_b: Walks) -> None:
         pairs,
         Side(tile.a.ends, of_a.vertices),
         Side(tile.b.ends, of_b.vertices),
-        Output(tile.to_b, tile.to_a, tile.batches),
+        Output(sums.to_b, sums.to_a, sums.batches),
         chunk=_CHUNK,
         scratch=work,
     )

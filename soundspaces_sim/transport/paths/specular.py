@@ -73,11 +73,13 @@ from soundspaces_sim.transport.state import (
     ReflectionBlock,
     Scratch,
     Tables,
+    Vertices,
     World,
     emitters_of,
 )
 from soundspaces_sim.transport.tables import BATCHES, copy, copy_scores, harmonics
-from soundspaces_sim.transport.tile import Left, Side, Tile
+from soundspaces_sim.transport.technique import TraceRows
+from soundspaces_sim.transport.tile import Side
 
 _STREAM = 0x5BEC  # keeps these subpaths' numbers apart from those of `subpath`
 _STEP = 6.0  # m between two looks at the weights
@@ -318,30 +320,37 @@ def _make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) ->
     )
 
 
-def trace(tile: Tile, own: Side, other: Side, rows: slice, tables: Tables, left: Left) -> None:
-    """Specular subpaths of `rows` of `own`, deposited at the points of `other`; they leave first diffuse
-    reflections for radiance transfer."""
-    world, emitters, detectors = tile.model.world, emitters_of(own.ends, rows), other.ends.detectors
+def trace(own: Side, other: Side) -> TraceRows:
+    """Specular subpaths of `own`, deposited at the points of `other`; they leave first diffuse reflections for
+    radiance transfer."""
+    world, detectors = own.model.world, other.ends.detectors
+    transfer = world.settings.radiance_transfer
     unknown = np.zeros(world.air.shape[1])
-    decay = tile.model.once(late_decay).rate if world.settings.radiance_transfer else unknown
-    points = len(emitters.points)
+    scene = _Scene(world, own.model.once(late_decay).rate if transfer else unknown)
+    room = room_for(
+        0, world.settings.specular * _EVENTS if transfer else 0, world
+    )  # for all rows in turn
 
-    def trace_into(block: ReflectionBlock, into: Tables) -> None:
+    def trace_into(emitters: Emitters, block: ReflectionBlock, into: Tables) -> None:
         tallies: list[np.ndarray] = []
         over_rows(
-            _trace, points, _Scene(world, decay), emitters, detectors, block, into, chunk=1,
+            _trace, len(emitters.points), scene, emitters, detectors, block, into, chunk=1,
             scratch=lambda: _make_work(world, detectors, tallies),
         )  # fmt: skip
         count_tallies(tallies)
 
-    if left.room is None or len(left.room.patch) < points:
-        capacity = world.settings.specular * _EVENTS if world.settings.radiance_transfer else 0
-        left.room = room_for(points, capacity, world)
-    trace_into(left.room, tables)
-    most = int(left.room.upto[:points, -1].max())
-    if most > left.room.patch.shape[1]:  # once more, with room enough, and without a second deposit
-        left.room = room_for(points, most + most // 8, world)
-        none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
-        trace_into(left.room, none)
-    if world.settings.radiance_transfer:
-        left.reflections.append(packed(ReflectionBlock(*(column[:points] for column in left.room))))
+    def trace_rows(rows: slice, tables: Tables, _: Vertices) -> ReflectionBlock | None:
+        nonlocal room
+        emitters = emitters_of(own.ends, rows)
+        points = len(emitters.points)
+        if len(room.patch) < points:
+            room = room_for(points, room.patch.shape[1], world)
+        trace_into(emitters, room, tables)
+        most = int(room.upto[:points, -1].max())
+        if most > room.patch.shape[1]:  # once more, with room enough, and without a second deposit
+            room = room_for(points, most + most // 8, world)
+            none = Tables(tables.arrive[:, :, :0], tables.leave[:, :, :0], np.zeros_like(tables.batches))
+            trace_into(emitters, room, none)
+        return packed(ReflectionBlock(*(column[:points] for column in room))) if transfer else None
+
+    return trace_rows

@@ -7,18 +7,15 @@ SPECULAR = Technique(
     "specular",
     "all others that are never scattered; with patches also late ones that none scatters",
     trace=specular.trace,
-    deposits=True,
 )
 RECEIVER_VOLUMES = Technique(
     "receiver_volumes",
     "scattered; shares early ones with connections; none that are late, with patches",
     trace=receiver_volumes.trace,
-    deposits=True,
 )
 CONNECTIONS = Technique(
     "connections",
     "scattered, up to the connection window; shares them with receiver volumes",
     join=connections.join,
     requires=("receiver_volumes",),
-    deposits=True,
 )

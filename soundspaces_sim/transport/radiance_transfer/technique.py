@@ -10,7 +10,6 @@ RADIANCE_TRANSFER = Technique(
     mark=mark_patches,
     join=join,
     requires=("specular",),
-    deposits=True,
     settle=settle,
     describe=describe,
 )

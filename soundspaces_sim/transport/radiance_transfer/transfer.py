@@ -23,12 +23,12 @@ from soundspaces_sim.transport.radiance_transfer.batch_moments import (
 from soundspaces_sim.transport.radiance_transfer.batch_products import ProductsByBatch
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, make_endpoints, transfer
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
-from soundspaces_sim.transport.tile import Tile, Walks
+from soundspaces_sim.transport.tile import Sums, Tile, Walks
 
 _PAIRS = 128  # for which it is worth to start a thread
 
 
-def join(tile: Tile, of_a: Walks, of_b: Walks) -> None:
+def join(tile: Tile, of_a: Walks, of_b: Walks, sums: Sums) -> None:
     """Add the late energy of every pair that a patch scatters."""
     model = tile.model
     if not model.world.settings.radiance_transfer:
@@ -40,15 +40,20 @@ def join(tile: Tile, of_a: Walks, of_b: Walks) -> None:
     with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape
         forward, backward, products = transfer(plan, a, b)
         with stage("directions of arrival"):
-            deposit_transfer(plan, forward, backward, b.reflections, tile.to_b)
-            if not tile.same and tile.to_a.shape[2] > 0:
-                deposit_transfer(plan, backward, forward, a.reflections, tile.to_a)
+            deposit_transfer(plan, forward, backward, b.reflections, sums.to_b)
+            if not tile.same and sums.to_a.shape[2] > 0:
+                deposit_transfer(plan, backward, forward, a.reflections, sums.to_a)
     with stage("energy by batch"):
-        _add_error_bars(plan, forward, backward, products, tile)
+        _add_error_bars(plan, forward, backward, products, tile, sums)
 
 
 def _add_error_bars(
-    plan: TransferPlan, forward: Transfer, backward: Transfer, products: ProductsByBatch, tile: Tile
+    plan: TransferPlan,
+    forward: Transfer,
+    backward: Transfer,
+    products: ProductsByBatch,
+    tile: Tile,
+    sums: Sums,
 ) -> None:
     """Add the energy by batch, counts of reflections and the difference of the directions to those of a tile."""
     windows = tile.model.world.window_of_bin[plan.first_bin :]
@@ -57,11 +62,11 @@ def _add_error_bars(
     for band in range(plan.bands):
         restore = np.ascontiguousarray(plan.restore[:, band])
         energies = PairEnergies(forward.energy[band], backward.energy[band], restore)
-        arguments = tile.pairs, energies, _of_band(products, band), bins, tile.batches[..., band]
+        arguments = tile.pairs, energies, _of_band(products, band), bins, sums.batches[..., band]
         over_rows(
             add_batches, len(tile.pairs), *arguments, scratch=lambda: np.empty(shape), least=_PAIRS
         )
-        _add_difference(tile.difference[..., band], energies)
+        _add_difference(sums.difference[..., band], energies)
 
 
 def _of_band(products: ProductsByBatch, band: int) -> BatchProducts:

@@ -14,7 +14,7 @@ from soundspaces_sim.echogram.reflection_counts import (
 )
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.tables import BATCHES, count_rows
-from soundspaces_sim.transport.tile import Tile
+from soundspaces_sim.transport.tile import Sums
 
 
 class CountMoments(NamedTuple):
@@ -24,15 +24,15 @@ class CountMoments(NamedTuple):
     rows: np.ndarray  # (A, B, W, count rows, b): n_m, what anchors take, n_m n_k (`tables`)
 
 
-def moments_of(tile: Tile) -> CountMoments | None:
+def moments_of(model: Model, sums: Sums) -> CountMoments | None:
     """Those of all pairs of a tile; None unless the config wants counts."""
-    if not tile.model.config.materials.enabled:
+    if not model.config.materials.enabled:
         return None
-    time, weight = mean_times(tile.model, tile.to_b[:, :, :, 0])
-    a, b, _, windows, bands = tile.batches.shape
-    last = BATCHES + count_rows(len(tile.model.prepared.groups.names))
+    time, weight = mean_times(model, sums.to_b[:, :, :, 0])
+    a, b, _, windows, bands = sums.batches.shape
+    last = BATCHES + count_rows(len(model.prepared.groups.names))
     rows = np.empty((a, b, windows, last - BATCHES, bands), np.float32)
-    for i, batches in enumerate(tile.batches):  # one by one: tables in double precision are large
+    for i, batches in enumerate(sums.batches):  # one by one: tables in double precision are large
         whole = batches[:, :BATCHES].sum(axis=1, dtype=float)  # (B, W, b)
         known = (whole > 0.0) & (weight[i] > 0.0)
         of_point = np.moveaxis(batches[:, BATCHES:last], 1, 2).astype(float)
