@@ -24,7 +24,6 @@ from .core.simulation_config import (
     LowConfig,
     MaterialsConfig,
     RadianceTransferConfig,
-    ReceiverVolumesConfig,
     SimulationConfig,
     SpecularConfig,
 )
@@ -94,7 +93,6 @@ __all__ = [
     "PointError",
     "RadianceTransferConfig",
     "RandomMaterials",
-    "ReceiverVolumesConfig",
     "RirCollection",
     "RirDataset",
     "RoomStream",

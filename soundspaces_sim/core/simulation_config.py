@@ -38,19 +38,25 @@ def with_switches(simulation: Mapping[str, Any]) -> dict[str, Any]:
 
 
 #: Settings of version 0.3.0 that are constants now, as files have them.
-_CONSTANT: dict[str, Any] = {"least_distance": LEAST_DISTANCE, "air_in_bands": "mean"}
-_PER_VERTEX = 1
+_CONSTANT: dict[str, Any] = {
+    "least_distance": LEAST_DISTANCE,
+    "air_in_bands": "mean",
+    "connections": {"per_vertex": 1},
+    "receiver_volumes": {"radius_min": 0.1, "radius_growth": 0.05, "radius_max": 1.0},
+}
 
 
-def without_constants(simulation: Any) -> Any:
+def without_constants(simulation: Any, constant: Mapping[str, Any] = _CONSTANT) -> Any:
     """The settings of [simulation] in a file of 0.3.0 without those that are constants now, where they have their
     values; others stay, and are refused."""
     if not isinstance(simulation, dict):
         return simulation
-    out = {name: x for name, x in simulation.items() if name not in _CONSTANT or x != _CONSTANT[name]}
-    connections = out.get("connections")
-    if isinstance(connections, dict) and connections.get("per_vertex") == _PER_VERTEX:
-        out["connections"] = {name: x for name, x in connections.items() if name != "per_vertex"}
+    out = {}
+    for name, value in simulation.items():
+        known = constant.get(name)
+        left = without_constants(value, known) if isinstance(known, dict) else value
+        if name not in constant or left not in (known, {}):
+            out[name] = left
     return out
 
 
@@ -103,29 +109,6 @@ class ConnectionsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fiel
         require_whole(self, self.stage, {"subpaths": (0, 100_000)})
         require(self.subpaths != 1, f"{self.stage}.subpaths", "0, or 2 and more", self.subpaths)
         require_between(self, self.stage, {"window": (0.0, LONGEST, "s")})
-
-
-class ReceiverVolumesConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Spheres about the points, in which subpaths are detected.
-
-    `radius_min`: of a path without length, m. `radius_growth`: by which the radius grows with the path's length,
-    m/m. `radius_max`: at most, m."""
-
-    stage: ClassVar[str] = "simulation.receiver_volumes"
-    radius_min: float = 0.1  # m
-    radius_growth: float = 0.05
-    radius_max: float = 1.0  # m
-
-    def __post_init__(self) -> None:
-        radii = {"radius_min": (0.0, 100.0, "m"), "radius_max": (0.0, 100.0, "m")}
-        require_between(self, self.stage, radii, above=True)
-        require_between(self, self.stage, {"radius_growth": (0.0, 10.0, "")})
-        require(
-            self.radius_min <= self.radius_max,
-            f"{self.stage}.radius_min",
-            "positive, at most radius_max",
-            self.radius_min,
-        )
 
 
 class RadianceTransferConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -220,7 +203,6 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     walks: int | None = None
     specular: SpecularConfig = SpecularConfig()
     connections: ConnectionsConfig = ConnectionsConfig()
-    receiver_volumes: ReceiverVolumesConfig = ReceiverVolumesConfig()
     radiance_transfer: RadianceTransferConfig = RadianceTransferConfig()
     diffraction: DiffractionConfig = DiffractionConfig()
     materials: MaterialsConfig = MaterialsConfig()

@@ -21,8 +21,8 @@ from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
+from soundspaces_sim.transport.paths import detector
 from soundspaces_sim.transport.paths.decay import measure_decay
-from soundspaces_sim.transport.paths.detector import make_radii
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
 from soundspaces_sim.transport.rounds import round_sizes
@@ -137,12 +137,11 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
                 facets = technique.mark(facets, prepared, duration)
     settings = _settings(config, time_edges, len(facets.patches.weight))
     longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
-    volumes = config.receiver_volumes
     world = World(
         facets.geometry,
         prepared.surfaces,
         facets.patches,
-        make_radii(volumes.radius_min, volumes.radius_growth, volumes.radius_max),
+        detector.make_radii(detector.GROWTH),
         settings,
         bin_of_step,
         time_windows(time_edges, prepared.groups.windows),
@@ -172,8 +171,7 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
         kappa=subpaths / max(connected, 1),
         vv=1.0 / _VERTEX_SHARE,
         max_bounces=config.max_bounces,
-        max_length=end
-        + 2.0 * config.receiver_volumes.radius_max,  # so that detectors catch the last bin whole
+        max_length=end + 2.0 * detector.GROWTH.largest,  # so that detectors catch the last bin whole
         connection_length=min(connections.window * config.c, end) if connected else -1.0,
         connection_depth=_CONNECTION_DEPTH,
         radiance_transfer=patches > 0,

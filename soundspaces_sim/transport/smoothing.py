@@ -12,6 +12,7 @@ from soundspaces_sim.echogram.denoise_plan import make_denoise_plan
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.measure_errors import measure_values, widened
 from soundspaces_sim.transport.model import EARLY_S, Model
+from soundspaces_sim.transport.paths import detector
 from soundspaces_sim.transport.reflection_counts.of_tile import CountMoments, counts_of
 from soundspaces_sim.transport.reflection_counts.smoothed import smoothed_moments
 
@@ -39,7 +40,7 @@ def smoothed(model: Model, traced: Traced) -> tuple[Echograms, Echograms | None]
     moments = traced.moments
     if config.denoise:
         values = measure_values(forward, traced.same)
-        passage = 2.0 * config.receiver_volumes.radius_max / config.c
+        passage = 2.0 * detector.GROWTH.largest / config.c
         plan = make_denoise_plan(model.time_edges, config.connections.window, passage)
         early = forward.direct_length / config.c + EARLY_S
         splits = np.searchsorted(model.time_edges, early)

@@ -30,9 +30,6 @@ TOO_MUCH: dict[Any, dict[str, tuple[Any, ...]]] = {
     },
     ss.SpecularConfig: {"ratio": (0, 10**6)},
     ss.ConnectionsConfig: {"subpaths": (-1, 1, 10**7), "window": (-1.0, math.inf, math.nan)},
-    ss.ReceiverVolumesConfig: {
-        "radius_min": (0.0, 1e9, math.nan), "radius_growth": (-1.0, math.inf), "radius_max": (1e9, math.nan),
-    },
     ss.RadianceTransferConfig: {},
     ss.DiffractionConfig: {},
     ss.MaterialsConfig: {"groups": (0, 13, -1)},

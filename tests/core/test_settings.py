@@ -72,7 +72,10 @@ def test_every_reflection_law_may_be_a_jobs(law: str) -> None:
         ),
         ({"connections": {"subpaths": 1}}, "simulation.connections.subpaths: expected 0, or 2"),
         ({"diffraction": 3}, "simulation.diffraction: expected"),
-        ({"receiver_volumes": {"radius_min": 2.0}}, "radius_min: expected positive, at most radius_max"),
+        (
+            {"receiver_volumes": {"radius_max": 2.0}},
+            "simulation.receiver_volumes: there is no such setting",
+        ),
     ],
 )
 def test_what_cannot_be_is_named(given: dict[str, Any], message: str) -> None:
@@ -86,12 +89,14 @@ def test_settings_that_are_constants_now_are_taken_out_of_files_where_they_have_
         "least_distance": 0.05,
         "air_in_bands": "mean",
         "connections": {"per_vertex": 1, "window": 0.1},
+        "receiver_volumes": {"radius_min": 0.1, "radius_growth": 0.05, "radius_max": 1.0},
     }
     assert without_constants(stored) == {"walks": 5, "connections": {"window": 0.1}}
     for other in (
         {"least_distance": 0.1},
         {"air_in_bands": "centre"},
         {"connections": {"per_vertex": 2}},
+        {"receiver_volumes": {"radius_max": 1.5}},
     ):
         assert without_constants(other) == other
     assert without_constants(None) is None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.transport.paths import detector
 from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, table, two_rooms
 from tests.stats import limit, repeat
@@ -167,13 +168,14 @@ def test_late_energy_beside_and_beyond_a_thick_raised_wall() -> None:
         pytest.param("open wall", "angle", marks=_SLOW),
     ],
 )  # fmt: skip
-def test_techniques_agree(name: str, reflection: str) -> None:
+def test_techniques_agree(name: str, reflection: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Receiver volumes alone, the default mix, and connections almost alone have the same expectation."""
     scene, p, q = _scene(name)
     hits = _engine(
         scene, p, q, 16, connections={"subpaths": 0}, radiance_transfer=False, reflection=reflection
     )
     both = _engine(scene, p, q, 16, reflection=reflection)
+    monkeypatch.setattr(detector, "GROWTH", detector.Growth(0.05, 0.01, 0.2))
     connections = _engine(
         scene,
         p,
@@ -182,7 +184,6 @@ def test_techniques_agree(name: str, reflection: str) -> None:
         walks=4000,
         specular={"ratio": 4},
         connections={"subpaths": 4000, "window": 0.2},
-        receiver_volumes={"radius_min": 0.05, "radius_max": 0.2, "radius_growth": 0.01},
         reflection=reflection,
     )
     flat = [x.reshape(len(x), -1) for x in (hits, both, connections)]

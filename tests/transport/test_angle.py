@@ -25,6 +25,7 @@ from soundspaces_sim.transport.bsdf.surface import (
     is_delta,
     make_surfaces,
 )
+from soundspaces_sim.transport.paths import detector
 from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
@@ -243,7 +244,9 @@ def test_straight_through_a_wall_at_an_angle(free: bool) -> None:
         *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.3, 1.0), (0.8, 0.0))),
     ],
 )
-def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None:
+def test_sphere_that_scatters_by_angle(
+    absorption: float, offset: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Sound that leaves the wall of a sphere at an angle meets it again at the same one.
 
     From the centre all comes along the normal. With rho(c) = |R|², g = rho over its mean: rho(1) returns first,
@@ -261,13 +264,13 @@ def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None
     seen = quad(lambda mu: rho(np.sqrt(1.0 - (offset / radius) ** 2 * (1.0 - mu**2))), 0.0, 1.0)[0]
     expected = left * seen / (1.0 - absorption) / (np.pi * radius**2)
     scene = sphere(radius, table(absorption, 1.0), 4)
+    monkeypatch.setattr(detector, "GROWTH", detector.Growth(0.1, 0.01, 0.2))
     config = plain(
         walks=2000,
         specular={"ratio": 1},
         connections={"subpaths": 256},
         decay_range_db=100.0,
         reflection="angle",
-        receiver_volumes={"radius_growth": 0.01, "radius_max": 0.2},
     )
 
     def run(seed: int) -> np.ndarray:
@@ -278,7 +281,7 @@ def test_sphere_that_scatters_by_angle(absorption: float, offset: float) -> None
 
 
 @ci_slow
-def test_mirror_shoebox_by_angle_against_image_sources() -> None:
+def test_mirror_shoebox_by_angle_against_image_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every reflection of an image is off a wall across its axis: the angles of each are known."""
     size, p, q = np.array([6.0, 5.0, 2.7]), np.array([1.5, 2.0, 1.2]), np.array([4.3, 3.1, 1.6])
     absorption = 0.3
@@ -295,13 +298,8 @@ def test_mirror_shoebox_by_angle_against_image_sources() -> None:
     energy = (returned**order).prod(axis=1) / (4.0 * np.pi * length**2)
     edges = np.arange(0.0, 0.1001, 0.01)
     expected = np.histogram(length / 343.0, edges, weights=energy)[0]
-    config = plain(
-        walks=1600,
-        specular={"ratio": 16},
-        duration=0.11,
-        receiver_volumes={"radius_max": 0.25, "radius_growth": 0.01},
-        reflection="angle",
-    )
+    monkeypatch.setattr(detector, "GROWTH", detector.Growth(0.1, 0.01, 0.25))
+    config = plain(walks=1600, specular={"ratio": 16}, duration=0.11, reflection="angle")
 
     def run(seed: int) -> np.ndarray:
         e = ss.simulate(box(tuple(size), table(absorption, 0.0)), [p], [q], config, seed)[0, 0]

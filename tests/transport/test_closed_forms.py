@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.axes import spherical_harmonics
 from soundspaces_sim.echogram.measures import room_measures
+from soundspaces_sim.transport.paths import detector
 from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, plane, sphere, table
 from tests.stats import assert_mean, repeat
@@ -239,19 +240,15 @@ SIZE, SOURCE, LISTENER = (6.0, 5.0, 2.7), (1.5, 2.0, 1.2), (4.3, 3.1, 1.6)
 
 
 @ci_slow
-def test_mirror_shoebox_energy_against_image_sources() -> None:
+def test_mirror_shoebox_energy_against_image_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     """All-mirror walls: energy per 10 ms against the image-source sum, to 250 ms."""
     delay, energy, *_ = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
     edges = np.arange(0.0, 0.2501, 0.01)
     expected = np.histogram(delay, edges, weights=energy)[0]
     scene = box(SIZE, table(0.2, 0.0))
     # Arrivals within a detector's blur of an edge may fall on its other side: a narrow detector.
-    config = plain(
-        walks=1000,
-        specular={"ratio": 16},
-        duration=0.26,
-        receiver_volumes={"radius_max": 0.25, "radius_growth": 0.01},
-    )
+    monkeypatch.setattr(detector, "GROWTH", detector.Growth(0.1, 0.01, 0.25))
+    config = plain(walks=1000, specular={"ratio": 16}, duration=0.26)
 
     def run(seed: int) -> np.ndarray:
         return ss.simulate(scene, [SOURCE], [LISTENER], config, seed)[0, 0].histogram(0.01)[0, :25]
@@ -293,15 +290,15 @@ def test_mirror_shoebox_arrivals_are_exact(source: Place, listener: Place) -> No
 
 
 @ci_slow
-def test_mirror_shoebox_arrivals_to_order_six() -> None:
+def test_mirror_shoebox_arrivals_to_order_six(monkeypatch: pytest.MonkeyPatch) -> None:
     """Isolated images of order 3 to 6 appear in the histogram, within the detectors' blur of 0.05 ms."""
     delay, energy, order, _ = _image_sources(SIZE, SOURCE, LISTENER, 0.1, 0.3)
     scene = box(SIZE, table(0.1, 0.0))
+    monkeypatch.setattr(detector, "GROWTH", detector.Growth(0.25, 0.0, 0.25))
     config = plain(
         walks=800,
         specular={"ratio": 64},
         duration=0.12,
-        receiver_volumes={"radius_min": 0.25, "radius_max": 0.25, "radius_growth": 0.0},
         time_grid=((0.0, 0.00005),),
     )
     samples = repeat(

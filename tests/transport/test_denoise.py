@@ -10,6 +10,7 @@ from soundspaces_sim.echogram.denoise import Noise, smooth_late
 from soundspaces_sim.echogram.denoise_plan import DenoisePlan, make_denoise_plan
 from soundspaces_sim.transport.integrator import simulate_tile, trace_tile
 from soundspaces_sim.transport.model import EARLY_S
+from soundspaces_sim.transport.paths import detector
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.marks import ci_slow
@@ -409,17 +410,17 @@ def test_rounds_are_smoothed_once_at_the_end() -> None:
 
 
 @pytest.mark.slow
-def test_error_against_image_sources_does_not_rise() -> None:
+def test_error_against_image_sources_does_not_rise(monkeypatch: pytest.MonkeyPatch) -> None:
     """10 ms from 50 to 250 ms of a mirror shoebox, where structure is as strong as noise: root mean square
     error."""
     delay, energy, *_ = _image_sources(SIZE, SOURCE, LISTENER, 0.2, 0.3)
     expected = np.histogram(delay, np.arange(0.05, 0.2501, 0.01), weights=energy)[0]
     scene, few = box(SIZE, table(0.2, 0.0)), {"walks": 1000, "specular": {"ratio": 16}, "duration": 0.26}
 
+    monkeypatch.setattr(detector, "GROWTH", detector.Growth(0.1, 0.01, 0.25))
+
     def error(smooth: bool) -> float:
-        config = plain(
-            **few, receiver_volumes={"radius_max": 0.25, "radius_growth": 0.01}, denoise=smooth
-        )
+        config = plain(**few, denoise=smooth)
         runs = [
             ss.simulate(scene, [SOURCE], [LISTENER], config, k)[0, 0].histogram(0.01)[0]
             for k in range(8)

@@ -4,8 +4,10 @@ those of docs/theory.md, written out."""
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.transport.paths import detector
 from tests.rooms import plain, table
 from tests.stats import assert_mean, repeat
 from tests.transport.exact_wedge import SPEED
@@ -40,7 +42,7 @@ def _energies_by_scattering(p: np.ndarray, q: np.ndarray, edges: np.ndarray) -> 
     return total
 
 
-def test_reflections_before_and_after_scattering() -> None:
+def test_reflections_before_and_after_scattering(monkeypatch: pytest.MonkeyPatch) -> None:
     """Subpaths and connections, with mirrors on the way, against the sum over images and the integral over the
     wall."""
     scene = quads(
@@ -48,9 +50,10 @@ def test_reflections_before_and_after_scattering() -> None:
     )
     scene = ss.Scene(scene.vertices, scene.faces, np.array([0, 0, 1, 1]), scene.materials)
     p, q = np.array([1.2, -0.8, 1.1]), np.array([2.0, 1.3, 0.7])
+    monkeypatch.setattr(detector, "GROWTH", detector.Growth(0.1, 0.05, 0.3))
     config = plain(
         walks=12_000, connections={"subpaths": 768}, duration=0.05, radiance_transfer=False, diffraction=False,
-        receiver_volumes={"radius_max": 0.3}, time_grid=((0.0, 0.0005),),
+        time_grid=((0.0, 0.0005),),
     )  # fmt: skip
 
     def run(seed: int) -> np.ndarray:
