@@ -168,7 +168,10 @@ def inspect_scene(
     grid = sample.grid
     storey_points, in_air = _points_per_storey(scene, grid)
     default = _default_areas(scene)
-    names, areas = scene.materials.names, _areas_of_materials(scene)
+    names, areas = (
+        scene.materials.names,
+        np.bincount(scene.face_material, scene.areas, len(scene.materials.names)),
+    )
     report = SceneReport(
         scene.name,
         tuple(
@@ -286,11 +289,6 @@ def _floor_spread(grid: Grid | None) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def _areas_of_materials(scene: Scene) -> np.ndarray:
-    """(materials,) m²."""
-    return np.bincount(scene.face_material, scene.areas, len(scene.materials.names))
-
-
 def _default_areas(scene: Scene) -> dict[str, float]:
     """m² of the default material by label, '' for faces without one; the largest first."""
     names = scene.materials.names
@@ -394,9 +392,9 @@ def _components(scene: Scene) -> int:
     return int(pieces_of(faces, len(points)).max()) + 1
 
 
-def _list_areas(areas: dict[str, float], most: int = 5) -> str:
-    listed = [f"{label or 'no label'} {area:.1f}" for label, area in list(areas.items())[:most]]
-    return ", ".join(listed) + (", …" if len(areas) > most else "")
+def _list_areas(areas: dict[str, float]) -> str:
+    listed = [f"{label or 'no label'} {area:.1f}" for label, area in list(areas.items())[:5]]
+    return ", ".join(listed) + (", …" if len(areas) > 5 else "")
 
 
 def _storey_lines(r: SceneReport) -> list[str]:

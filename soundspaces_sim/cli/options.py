@@ -96,16 +96,16 @@ def check_folder(out: Path, flag: str = "--out") -> None:
             )
 
 
-def check_file(out: Path, endings: tuple[str, ...], flag: str = "--out") -> None:
+def check_file(out: Path, endings: tuple[str, ...]) -> None:
     """Raise `ConfigError`, before any work, unless a file of this name can be written."""
     if out.suffix.lower() not in endings:
-        raise ConfigError(f"{flag} {out}: expected a name that ends in {', '.join(endings)}")
+        raise ConfigError(f"--out {out}: expected a name that ends in {', '.join(endings)}")
     if out.is_dir():
-        raise ConfigError(f"{flag} {out}: expected a file, but this is a folder")
+        raise ConfigError(f"--out {out}: expected a file, but this is a folder")
     if not out.absolute().parent.is_dir():
-        raise ConfigError(f"{flag} {out}: there is no folder {out.parent}")
+        raise ConfigError(f"--out {out}: there is no folder {out.parent}")
     if not os.access(out if out.exists() else out.absolute().parent, os.W_OK):
-        raise ConfigError(f"{flag} {out}: this cannot be written to; choose another place")
+        raise ConfigError(f"--out {out}: this cannot be written to; choose another place")
 
 
 def output_file(

@@ -322,7 +322,7 @@ class RirDataset:
         """
         rows = sampling.as_pairs(pairs)
         turns = np.broadcast_to(check_degrees(headings_deg, "headings_deg"), len(rows))
-        emit = sampling.for_each(source, len(rows), "source")
+        emit = sampling.for_each(source, len(rows))
         if kind not in get_args(Kind):
             raise ConfigError(f"kind: expected {', '.join(get_args(Kind))}, got {kind!r}")
 

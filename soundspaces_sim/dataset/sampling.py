@@ -73,12 +73,12 @@ def as_points(points: ArrayLike, what: str) -> np.ndarray:
     return rows.astype(np.int64)
 
 
-def for_each(given: Any, count: int, what: str) -> list[Any]:
+def for_each(given: Any, count: int) -> list[Any]:
     """One thing, or None, for all of `count`, or one each. Raises `ConfigError`."""
     if not isinstance(given, list | tuple):
         return [given] * count
     if len(given) != count:
-        raise ConfigError(f"{what}: expected one or {count}, got {len(given)}")
+        raise ConfigError(f"source: expected one or {count}, got {len(given)}")
     return list(given)
 
 
@@ -112,7 +112,7 @@ def path_steps(
         )
     if isinstance(directivity, list | tuple) and ways == 1:
         directivity = directivity[0]
-    emits = for_each(directivity, k, "source")
+    emits = for_each(directivity, k)
     rows = zip(*(np.broadcast_to(x, (k, *x.shape[1:])) for x in (a, b, turns)), emits, strict=True)
     return [Step(int(s), int(l), turn, d) for s, l, turn, d in rows], "source" if moves else "listener"
 

@@ -280,7 +280,7 @@ class Renderer:
         heads: np.ndarray | None = None,
     ) -> Iterator[_Part]:
         """The pairs, those of one length together, `at_once` at most."""
-        emits = sampling.for_each(source, len(rows), "source")
+        emits = sampling.for_each(source, len(rows))
         plain = listener is None and materials is None and all(e is None for e in emits)
         shifted = heads is not None and any(as_ears(self.dataset.hrtf).offset)
         if plain and not shifted and self.dataset.renderer != "direct" and self._keep():

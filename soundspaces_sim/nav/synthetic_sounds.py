@@ -28,11 +28,11 @@ def synthesise(family: str, variant: int, rate: int, seed: int = 0) -> np.ndarra
     return np.asarray(signal * fade)
 
 
-def _band(x: np.ndarray, low: float, high: float, rate: int, order: int = 2) -> np.ndarray:
+def _band(x: np.ndarray, low: float, high: float, rate: int) -> np.ndarray:
     top = min(high, 0.45 * rate)
     return np.asarray(
         scipy.signal.sosfilt(
-            scipy.signal.butter(order, [min(low, 0.5 * top), top], "band", fs=rate, output="sos"), x
+            scipy.signal.butter(2, [min(low, 0.5 * top), top], "band", fs=rate, output="sos"), x
         )
     )
 

@@ -20,7 +20,7 @@ _FULL_SCALE = {np.dtype(np.uint8): 2.0**7, np.dtype(np.int16): 2.0**15, np.dtype
 _N_FFT, _WINDOW, _BLOCK = 512, 400, 4
 
 
-def as_mono(audio: ArrayLike, what: str = "audio") -> np.ndarray:
+def as_mono(audio: ArrayLike) -> np.ndarray:
     """(n,) float32. Samples of 8, 16 or 32 bits, as files have them, become shares of full scale. Raises
     `ConfigError` for anything but a finite mono signal."""
     try:
@@ -31,13 +31,13 @@ def as_mono(audio: ArrayLike, what: str = "audio") -> np.ndarray:
             raise TypeError
         dry = np.asarray(given, np.float32)
     except (TypeError, ValueError, OverflowError):
-        raise ConfigError(f"{what}: expected a mono signal of numbers, got {audio!r:.80}") from None
+        raise ConfigError(f"audio: expected a mono signal of numbers, got {audio!r:.80}") from None
     if dry.ndim != 1 or len(dry) == 0:
-        raise ConfigError(f"{what}: expected a mono signal of shape (n,), n >= 1, got {dry.shape}")
+        raise ConfigError(f"audio: expected a mono signal of shape (n,), n >= 1, got {dry.shape}")
     bad = np.flatnonzero(~np.isfinite(dry))
     if len(bad):
         raise ConfigError(
-            f"{what}: expected finite samples, got {dry[bad[0]]} at sample {bad[0]} ({len(bad)} of {len(dry)})"
+            f"audio: expected finite samples, got {dry[bad[0]]} at sample {bad[0]} ({len(bad)} of {len(dry)})"
         )
     return dry
 

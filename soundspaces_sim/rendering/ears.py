@@ -30,24 +30,19 @@ from soundspaces_sim.rendering.hrtf import load_hrtf
 from soundspaces_sim.rendering.low_band import above
 
 HEAD_RADIUS = 0.0875  # m, the mean of Kuhn (1977) that Duda & Martens use
+_SPEED = 343.0  # m/s
 _LARGE = 1e200
 _CLOSE = 1e-7  # of the sum: where it ends
 _NEAREST = 1.05  # radii
 
 
-def sphere_response(
-    frequency: np.ndarray,
-    distance: float,
-    cosine: float,
-    radius: float = HEAD_RADIUS,
-    speed_of_sound: float = 343.0,
-) -> np.ndarray:
-    """(n,) complex response on a rigid sphere at frequencies (n,) Hz; the source is `distance` m from its centre.
+def sphere_response(frequency: np.ndarray, distance: float, cosine: float) -> np.ndarray:
+    """(n,) complex response on a rigid head at frequencies (n,) Hz; the source is `distance` m from its centre.
 
     `cosine` of the angle between the ear and the source. A source nearer than 1.05 radii counts as there.
     """
-    rho = max(distance / radius, _NEAREST)
-    mu = np.maximum(2.0 * np.pi * np.asarray(frequency, float) * radius / speed_of_sound, 1e-4)
+    rho = max(distance / HEAD_RADIUS, _NEAREST)
+    mu = np.maximum(2.0 * np.pi * np.asarray(frequency, float) * HEAD_RADIUS / _SPEED, 1e-4)
     total = np.zeros(len(mu), complex)
     most = int(np.ceil(mu.max() + np.log(1.0 / _CLOSE) / np.log(rho))) + 8
     for m in range(most):

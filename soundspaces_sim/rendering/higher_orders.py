@@ -21,10 +21,10 @@ LOWEST, HIGHEST = 3, 7
 WAVES = 320  # a lattice of these keeps channels of order 7 apart to 1 %
 
 
-def check_order(order: int, name: str = "order") -> int:
+def check_order(order: int) -> int:
     """An order of ambisonics that `higher_order_rir` makes. Raises `ConfigError`."""
     if not (isinstance(order, int | np.integer) and LOWEST <= order <= HIGHEST):
-        raise ConfigError(f"{name}: expected {LOWEST} to {HIGHEST}, got {order!r}")
+        raise ConfigError(f"order: expected {LOWEST} to {HIGHEST}, got {order!r}")
     return int(order)
 
 

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import soundspaces_sim as ss
-from soundspaces_sim.dataset.exporters.soundspaces1 import export_soundspaces1
-from soundspaces_sim.dataset.exporters.wav import export_wav
+from soundspaces_sim.dataset.exporters.plan import carry_out
+from soundspaces_sim.dataset.exporters.soundspaces1 import plan_soundspaces1
+from soundspaces_sim.dataset.exporters.wav import plan_wav
 from tests.attack.victims import build_whole, make_whole, read_dataset
 
 Tree = dict[str, bytes]
@@ -112,9 +113,8 @@ def scenarios(whole: Path) -> dict[str, Scenario]:
 
     def export(folder: Path) -> object:
         with ss.open_dataset(whole / "whole") as ds:
-            return export_soundspaces1(ds, folder / "v1", headings=(0.0,)), export_wav(
-                ds, folder / "wav"
-            )
+            plans = plan_soundspaces1(ds, folder / "v1", headings=(0.0,)), plan_wav(ds, folder / "wav")
+            return [carry_out(plan) for plan in plans]
 
     reading = read_dataset(whole / "whole")
     return {

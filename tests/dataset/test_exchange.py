@@ -25,9 +25,9 @@ from soundspaces_sim.dataset.exporters.ambisonics import plan_ambisonics
 from soundspaces_sim.dataset.exporters.iso3382 import plan_iso3382
 from soundspaces_sim.dataset.exporters.plan import carry_out
 from soundspaces_sim.dataset.exporters.points import points_text, read_graph, read_points
-from soundspaces_sim.dataset.exporters.sofa import export_sofa
-from soundspaces_sim.dataset.exporters.soundspaces1 import ONSET, export_soundspaces1, plan_soundspaces1
-from soundspaces_sim.dataset.exporters.wav import export_wav, plan_wav
+from soundspaces_sim.dataset.exporters.sofa import plan_sofa
+from soundspaces_sim.dataset.exporters.soundspaces1 import ONSET, plan_soundspaces1
+from soundspaces_sim.dataset.exporters.wav import plan_wav
 from soundspaces_sim.dataset.format.manifest import read_manifest, write_manifest
 from soundspaces_sim.rendering.soundfield import convert
 from tests.command_line import run_command
@@ -37,7 +37,7 @@ from tests.command_line import run_command
 def exported(dataset_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("v1")
     with ss.open_dataset(dataset_folder) as ds:
-        assert export_soundspaces1(ds, out) == 5 * len(ds)
+        assert carry_out(plan_soundspaces1(ds, out)) == 5 * len(ds)
     return out
 
 
@@ -110,7 +110,7 @@ def test_ambisonic_files(exported: Path, dataset_folder: Path) -> None:
 
 def test_wav_export(dataset_folder: Path, tmp_path: Path) -> None:
     with ss.open_dataset(dataset_folder) as ds:
-        count = export_wav(ds, tmp_path, (0.0, 45.0), ambisonics=True)
+        count = carry_out(plan_wav(ds, tmp_path, (0.0, 45.0), ambisonics=True))
         assert count == 3 * len(ds) == len(list((tmp_path / "two_rooms").iterdir()))
         _, ears = wavfile.read(tmp_path / "two_rooms" / "1_2_45.wav")
         np.testing.assert_array_equal(ears.T, ds.binaural(1, 2, 45.0))
@@ -118,7 +118,7 @@ def test_wav_export(dataset_folder: Path, tmp_path: Path) -> None:
 
 def test_sofa_export(dataset_folder: Path, tmp_path: Path) -> None:
     with ss.open_dataset(dataset_folder) as ds:
-        assert export_sofa(ds, tmp_path) == len(ds.points)
+        assert carry_out(plan_sofa(ds, tmp_path)) == len(ds.points)
         sofa = sofar.read_sofa(str(tmp_path / "two_rooms_source1.sofa"), verbose=False)
         assert sofa.GLOBAL_SOFAConventions == "SingleRoomSRIR"
         np.testing.assert_allclose(sofa.ListenerPosition, ds.points)
@@ -141,7 +141,7 @@ def test_sofa_per_listener_and_what_the_manifest_says(dataset_folder: Path, tmp_
         ds.manifest = replace(ds.manifest, config=replace(ds.manifest.config, dataset=dataset))
         pairs = tmp_path / "pairs.txt"
         pairs.write_text("0 2\n1 2\n3 4\n")
-        assert export_sofa(ds, tmp_path / "out", pairs=pairs, per="listener") == 2
+        assert carry_out(plan_sofa(ds, tmp_path / "out", pairs=pairs, per="listener")) == 2
         path = tmp_path / "out" / "two_rooms_listener2.sofa"
         sofa = sofar.read_sofa(str(path), verbose=False)
         np.testing.assert_allclose(sofa.ListenerPosition, ds.points[[2, 2]])
@@ -149,7 +149,7 @@ def test_sofa_per_listener_and_what_the_manifest_says(dataset_folder: Path, tmp_
         field = convert(ds.ambisonic(1, 2), "n3d")
         np.testing.assert_allclose(sofa.Data_IR[1, :, : field.shape[1]], field, atol=1e-9)
         with pytest.raises(ss.ConfigError, match="per: expected source or listener, got 'ear'"):
-            export_sofa(ds, tmp_path, per="ear")  # type: ignore[arg-type]
+            carry_out(plan_sofa(ds, tmp_path, per="ear"))  # type: ignore[arg-type]
     assert sofa.GLOBAL_AuthorContact == "A. Maker <a@b.org>"
     assert (sofa.GLOBAL_Organization, sofa.GLOBAL_License) == ("A lab", "CC BY 4.0")
     assert sofa.RoomTemperature == pytest.approx(293.15) and not hasattr(sofa, "RoomVolume")
@@ -328,7 +328,7 @@ def test_rates_and_heights_that_clients_do_not_expect(
     few = tmp_path / "pairs.txt"
     few.write_text("0 1\n")
     with ss.open_dataset(folder) as ds, caplog.at_level(logging.WARNING):
-        export_soundspaces1(ds, tmp_path / "v1", pairs=few)
+        carry_out(plan_soundspaces1(ds, tmp_path / "v1", pairs=few))
         assert "points are written +0.0529 m higher than they were simulated" in caplog.text
 
 

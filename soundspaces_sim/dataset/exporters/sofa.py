@@ -21,7 +21,6 @@ from soundspaces_sim.core.numerics.axes import CHANNELS
 from soundspaces_sim.dataset.exporters.plan import (
     ExportPlan,
     Progress,
-    carry_out,
     choose_pairs,
     samples_of,
 )
@@ -68,18 +67,6 @@ def plan_sofa(
 
     size = int(len(rows) * CHANNELS * samples_of(ds) * 8 * _PACKED)
     return ExportPlan(Path(out), len(ends), size, write, places)
-
-
-def export_sofa(
-    ds: RirDataset,
-    out: str | Path,
-    convention: Convention = "n3d",
-    progress: Progress | None = None,
-    pairs: str | Path = "all",
-    per: Per = "source",
-) -> int:
-    """Write the files of `plan_sofa`; their number. Raises `ConfigError`, `DatasetError`."""
-    return carry_out(plan_sofa(ds, out, convention, pairs, per), progress)
 
 
 def _sofa_bytes(ds: RirDataset, title: str, pairs: np.ndarray, convention: Convention) -> bytes:

@@ -21,7 +21,6 @@ from soundspaces_sim.core.numerics.axes import CHANNELS
 from soundspaces_sim.dataset.exporters.plan import (
     ExportPlan,
     Progress,
-    carry_out,
     check_headings,
     choose_pairs,
     samples_of,
@@ -92,20 +91,6 @@ def plan_soundspaces1(
     return ExportPlan(
         out, files, size, write, [metadata, binaural, *([ambisonic] if ambisonics else [])]
     )
-
-
-def export_soundspaces1(
-    ds: RirDataset,
-    out: str | Path,
-    name: str = "replica",
-    ambisonics: bool = True,
-    convention: Convention = "soundspaces1",
-    progress: Progress | None = None,
-    headings: tuple[float, ...] = AZIMUTHS,
-    pairs: str | Path = "nodes",
-) -> int:
-    """Write the files of `plan_soundspaces1`; the number of WAV files. Raises `ConfigError`, `DatasetError`."""
-    return carry_out(plan_soundspaces1(ds, out, name, ambisonics, headings, pairs, convention), progress)
 
 
 def _check_rate(ds: RirDataset, name: str) -> None:

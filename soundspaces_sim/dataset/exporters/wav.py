@@ -12,7 +12,6 @@ from soundspaces_sim.core.numerics.axes import CHANNELS
 from soundspaces_sim.dataset.exporters.plan import (
     ExportPlan,
     Progress,
-    carry_out,
     check_headings,
     choose_pairs,
     samples_of,
@@ -72,15 +71,3 @@ def plan_wav(
         write,
         [folder],
     )
-
-
-def export_wav(
-    ds: RirDataset,
-    out: str | Path,
-    headings: tuple[float, ...] = (0.0,),
-    ambisonics: bool = False,
-    progress: Progress | None = None,
-    pairs: str | Path = "all",
-) -> int:
-    """Write the files of `plan_wav`; their number. Raises `ConfigError`, `DatasetError`."""
-    return carry_out(plan_wav(ds, out, headings, ambisonics, pairs), progress)

@@ -190,7 +190,7 @@ def _east() -> Iterable[Box]:
     yield "door", 6.54, 5.1, 0.02, 7.38, 5.14, 2.03
 
 
-def boxes_mesh(boxes: list[Box], name: str, notes: tuple[str, ...] = ()) -> LabelledMesh:
+def boxes_mesh(boxes: list[Box], name: str) -> LabelledMesh:
     """Labelled boxes as one mesh: 12 faces each, corners not shared, every box closed."""
     low = np.array([box[1:4] for box in boxes], float)
     high = np.array([box[4:7] for box in boxes], float)
@@ -199,9 +199,7 @@ def boxes_mesh(boxes: list[Box], name: str, notes: tuple[str, ...] = ()) -> Labe
     names = [box[0] for box in boxes]
     labels = tuple(sorted(set(names)))
     rows = np.array([labels.index(label) for label in names])
-    return LabelledMesh(
-        vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, np.repeat(rows, 12), name, notes
-    )
+    return LabelledMesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, np.repeat(rows, 12), name)
 
 
 def demo_mesh() -> LabelledMesh:

@@ -22,10 +22,10 @@ from soundspaces_sim.scene.generate.buildings.solids import Solid, box, inset
 _RISER = 0.18  # m, at most
 
 
-def _box_cell(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
-    """The cell whose walls' surfaces are at these coordinates."""
+def _box_cell(x: float, y: float) -> np.ndarray:
+    """The cell whose walls' surfaces are at 0 and at these coordinates."""
     h = HALF
-    return np.array([(x0 - h, y0 - h), (x1 + h, y0 - h), (x1 + h, y1 + h), (x0 - h, y1 + h)])
+    return np.array([(-h, -h), (x + h, -h), (x + h, y + h), (-h, y + h)])
 
 
 def _ceiling(
@@ -56,7 +56,7 @@ def make_hall(rng: np.random.Generator) -> Building | None:
     length = float(width * rng.uniform(1.2, 1.9))
     height = float(rng.uniform(max(4.5, 0.3 * width), max(6.5, 0.62 * width)))
     finishes = draw_finishes("hall", rng)
-    outline = _box_cell(0.0, 0.0, length, width)
+    outline = _box_cell(length, width)
     kind = str(rng.choice(["flat", "flat", "gable", "vault"]))
     profile = _ceiling(outline, height, kind, rng, 0)
     room = Room("empty", outline, 0.0, height, finishes, profile)
@@ -200,7 +200,7 @@ def make_church(rng: np.random.Generator) -> Building | None:
     length = float(width * rng.uniform(1.5, 2.6))
     height = float(np.clip(width * rng.uniform(0.6, 1.15), 5.5, 18.0))
     finishes = draw_finishes("church", rng)
-    outline = _box_cell(0.0, 0.0, length, width)
+    outline = _box_cell(length, width)
     profile = _ceiling(outline, height, str(rng.choice(["gable", "vault", "vault", "flat"])), rng, 0)
     nave = Room("empty", outline, 0.0, height, finishes, profile)
     eaves = float(nave.height_at(nave.inner).min())
