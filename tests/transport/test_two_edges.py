@@ -12,7 +12,7 @@ from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.arrivals.connect import Context, Scratch, _double_may_be_heard
 from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
-from soundspaces_sim.transport.arrivals.technique import context_of
+from soundspaces_sim.transport.arrivals.technique import context_of, direct_sound
 from soundspaces_sim.transport.arrivals.two_edges import meets_both, two_edge_field, two_edge_path
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
@@ -129,7 +129,8 @@ def test_what_two_edges_bring_is_not_estimated_too_low(size: float) -> None:
     points[:20, 0] *= -1.0
     model = make_model(scene, points, CONFIG)
     sides = make_side(model, points[:20]), make_side(model, points[20:])
-    context, scratch = context_of(make_tile(model, sides[0], sides[1], both_ways=True))
+    tile = make_tile(sides[0], sides[1], both_ways=True)
+    context, scratch = context_of(tile, *direct_sound(tile))
     found = np.zeros(2, np.int64)
     _bounded(context, scratch(1), found)
     assert found[0] >= 300 and found[1] == found[0]
