@@ -129,7 +129,7 @@ def test_what_two_edges_bring_is_not_estimated_too_low(size: float) -> None:
     points[:20, 0] *= -1.0
     model = make_model(scene, points, CONFIG)
     sides = make_side(model, points[:20]), make_side(model, points[20:])
-    tile = make_tile(sides[0], sides[1], both_ways=True)
+    tile = make_tile(sides[0], sides[1])
     context, scratch = context_of(tile, *direct_sound(tile))
     found = np.zeros(2, np.int64)
     _bounded(context, scratch(1), found)
