@@ -208,7 +208,10 @@ def test_measures_of_a_room_lie_about_their_mean_as_their_errors_say() -> None:
     """z-scores of T30, EDT, C50 and D50 over 60 seeds and four pairs have a standard deviation of .85 to 1.15."""
     scene = box((7.0, 5.0, 3.0), table([0.1, 0.4, 0.2], [0.2, 0.6, 0.4]), [0, 0, 0, 2, 2, 1])
     config = ss.SimulationConfig(
-        walks=200, duration=0.5, diffraction=ss.DiffractionConfig(enabled=False)
+        walks=200,
+        duration=0.5,
+        reflection="random",  # by angle 200 subpaths leave some errors unknown
+        diffraction=ss.DiffractionConfig(enabled=False),
     )
     places = [[1.5, 1.0, 1.6], [4.0, 3.5, 1.2]], [[5.5, 4.0, 1.2], [2.0, 3.0, 1.2]]
     runs = [ss.simulate(scene, *places, config, seed) for seed in range(60)]

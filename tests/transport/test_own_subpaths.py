@@ -37,7 +37,8 @@ def _late(echoes: ss.Echograms) -> np.ndarray:
 def test_energies_are_those_of_shared_ones_and_errors_are_honest() -> None:
     """Over 16 seeds each: means differ by no more than four standard errors, of at most 12 %, and the stated variance
     of late energy is that between seeds (six pairs and four bands share their walks: within a factor of 1.6)."""
-    config = ss.SimulationConfig(walks=32, duration=0.3, denoise=False)
+    # By angle so few subpaths leave half of the errors unknown.
+    config = ss.SimulationConfig(walks=32, duration=0.3, denoise=False, reflection="random")
     means, errors = [], []
     for transfer in (config.radiance_transfer, OWN):
         chosen = msgspec.structs.replace(config, radiance_transfer=transfer)
