@@ -301,9 +301,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def of_dataset(config: SimulationConfig) -> SimulationConfig:
-    """The same with a law of reflection, and with a fixed number of subpaths where it has neither that nor an
-    error."""
-    config = msgspec.structs.replace(config, reflection=config.law)
+    """The same with a fixed number of subpaths, where it has neither that nor an error."""
     if config.walks is None and config.target_error is None:
         config = msgspec.structs.replace(config, walks=DEFAULT_WALKS)
     return config if config.radiance_transfer.subpaths is not None else _with_subpaths(config, "shared")
@@ -314,7 +312,6 @@ def of_simulation(config: SimulationConfig) -> SimulationConfig:
     are not averaged over rounds: with these the number is that of datasets."""
     if config.walks is not None or config.materials.enabled:
         return of_dataset(config)
-    config = msgspec.structs.replace(config, reflection=config.law)
     if config.target_error is None:
         config = msgspec.structs.replace(
             config, target_error=DEFAULT_ERROR, max_walks=min(config.max_walks, _MOST_BY_DEFAULT)
