@@ -58,7 +58,10 @@ def lattice_dataset(
     job = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=64),
         simulation=ss.SimulationConfig(
-            walks=walks, connections=ss.ConnectionsConfig(subpaths=8), duration=0.5
+            walks=walks,
+            connections=ss.ConnectionsConfig(subpaths=8),
+            duration=0.5,
+            reflection="random",  # by angle single subpaths of so few are louder than the direct sound
         ),
         dataset=type(ss.JobConfig().dataset)(rate=rate),
     )
