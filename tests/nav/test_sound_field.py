@@ -70,7 +70,8 @@ def between(field: SoundField) -> tuple[list[np.ndarray], Any]:
         k = rng.integers(len(ds.points))
         places.append(ds.points[k] + [*rng.uniform(-0.38, 0.38, 2), 0.0])
     config = ss.SimulationConfig(
-        walks=16, connections=ss.ConnectionsConfig(subpaths=2), duration=0.05, radiance_transfer=RadianceTransferConfig(enabled=False)
+        walks=16, connections=ss.ConnectionsConfig(subpaths=2), duration=0.05, reflection="random",
+        radiance_transfer=RadianceTransferConfig(enabled=False),
     )  # fmt: skip
     return places, ss.simulate(field.scene, ds.points[[2]], np.array(places), config)
 
