@@ -7,6 +7,7 @@ import shlex
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,6 +53,10 @@ USE = [
 
 
 _FEW = 400  # subpaths; texts that ask for more have 64
+_PLAIN: dict[str, Any] = {
+    "radiance_transfer": ss.RadianceTransferConfig(enabled=False),
+    "diffraction": ss.DiffractionConfig(enabled=False),
+}
 
 
 @pytest.fixture(autouse=True)
@@ -71,13 +76,17 @@ def few_walks(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -
                 config,
                 walks=config.walks if config.walks and config.walks <= _FEW else 64,
                 connections=ss.ConnectionsConfig(subpaths=8),
-                radiance_transfer=ss.RadianceTransferConfig(enabled=False),
-                diffraction=ss.DiffractionConfig(enabled=False),
+                **_PLAIN,
                 target_error=None if config.target_error is None else 1.0,
             )
             return make_model(scene, points, few, seed)
 
         monkeypatch.setattr(module, "make_model", quicker)
+
+
+def _quick(walks: int = 64, duration: float = 0.3, **more: Any) -> ss.SimulationConfig:
+    connections = ss.ConnectionsConfig(subpaths=8)
+    return ss.SimulationConfig(walks=walks, duration=duration, connections=connections, **more)
 
 
 @pytest.fixture(scope="module")
@@ -86,13 +95,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs")
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
-        simulation=ss.SimulationConfig(
-            walks=_FEW,  # enough to tell which ear is louder
-            connections=ss.ConnectionsConfig(subpaths=8),
-            duration=0.3,
-            radiance_transfer=ss.RadianceTransferConfig(enabled=False),
-            diffraction=ss.DiffractionConfig(enabled=False),
-        ),
+        simulation=_quick(walks=_FEW, **_PLAIN),  # enough to tell which ear is louder
     )
     scene = ss.load_scene("demo")
     points = ss.make_grid(scene, 1.0).points[:20]  # the texts speak of these
@@ -271,14 +274,7 @@ def _is(*beginnings: str) -> list[str]:
 @pytest.fixture(scope="module")
 def walls(demo: Path) -> Path:
     """The folder of `demo` with out/walls/demo in it, whose materials may change."""
-    config = ss.JobConfig(
-        simulation=ss.SimulationConfig(
-            walks=64,
-            connections=ss.ConnectionsConfig(subpaths=8),
-            duration=0.3,
-            materials={"enabled": True},  # type: ignore[arg-type]
-        )
-    )
+    config = ss.JobConfig(simulation=_quick(materials=ss.MaterialsConfig(enabled=True)))
     scene = ss.load_scene("demo")
     ss.build_dataset(scene, demo / "out" / "walls", config, points=ss.make_grid(scene, 1.0).points[:6])
     return demo
@@ -287,16 +283,8 @@ def walls(demo: Path) -> Path:
 @pytest.fixture(scope="module")
 def waves(walls: Path) -> Path:
     """The folder of `walls` with out/waves/demo in it, of waves below 90 Hz."""
-    config = ss.JobConfig(
-        simulation=ss.SimulationConfig(
-            walks=64,
-            connections=ss.ConnectionsConfig(subpaths=8),
-            duration=0.2,
-            radiance_transfer=ss.RadianceTransferConfig(enabled=False),
-            diffraction=ss.DiffractionConfig(enabled=False),
-            low=ss.LowConfig(method="waves", edge=90.0),
-        )
-    )
+    low = ss.LowConfig(method="waves", edge=90.0)
+    config = ss.JobConfig(simulation=_quick(duration=0.2, low=low, **_PLAIN))
     scene = ss.load_scene("demo")
     ss.build_dataset(scene, walls / "out" / "waves", config, points=ss.make_grid(scene, 1.0).points[:4])
     return walls

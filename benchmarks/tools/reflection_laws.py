@@ -1,10 +1,8 @@
-"""Which materials of published rooms react locally, by a rule that was stated before it was tried.
+"""Porous materials of published rooms by angle, all others at random incidence: a rule between the two laws.
 
 A surface reacts locally where what enters it goes along its normal, whatever the angle of incidence: then one
 impedance holds for all angles. Porous layers do, as sound is slow in them and refracted towards the normal; so
-does upholstery. Plates (panels, glass, boards, floors on joists) do not: bending waves run along them. Of hard
-walls a coefficient of some per cent tells the loss at joints and edges, which has no known law of angles. So:
-what is porous absorbs by angle, all else as at random incidence.
+does upholstery. docs/validation.md compares this rule with either law for all walls.
 """
 
 from __future__ import annotations

@@ -168,10 +168,8 @@ def inspect_scene(
     grid = sample.grid
     storey_points, in_air = _points_per_storey(scene, grid)
     default = _default_areas(scene)
-    names, areas = (
-        scene.materials.names,
-        np.bincount(scene.face_material, scene.areas, len(scene.materials.names)),
-    )
+    names = scene.materials.names
+    areas = np.bincount(scene.face_material, scene.areas, len(names))
     report = SceneReport(
         scene.name,
         tuple(

@@ -541,7 +541,8 @@ def _double_may_be_heard(
 
 @part(forceinline=True)
 def _is_above(first: float, second: float, scale: float, spectrum: Spectrum, least: np.ndarray) -> bool:
-    """Whether scale * min(first / k, 1) * min(second / k, 1) is above `least` in any band."""
+    """Whether scale * min(first / k, 1) * min(second / k, 1), and what an edge of finite length may add to that, is
+    above `least` in any band."""
     for b in range(len(least)):
         k = spectrum.k[b, 0]
         if MOST_SHARE**2 * scale * min(first, k) * min(second, k) > least[b] * k * k:
