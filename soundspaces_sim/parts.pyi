@@ -86,7 +86,9 @@ from .core.keywords import (
 from .core.keywords import (
     nearest as nearest_name,
 )
-from .core.limits import LEAST_DISTANCE
+from .core.limits import (
+    LEAST_DISTANCE,
+)
 from .core.limits import (
     LONGEST as LONGEST_RESPONSE,
 )
@@ -122,6 +124,24 @@ from .core.numerics.rng import (
 )
 from .core.numerics.rows import (
     unique_rows,
+)
+from .core.numerics.vec3 import (
+    Vec3,
+)
+from .core.numerics.vec3 import (
+    distance as point_distance,
+)
+from .core.numerics.vec3 import (
+    dot as dot_product,
+)
+from .core.numerics.vec3 import (
+    length as vector_length,
+)
+from .core.numerics.vec3 import (
+    row as vector_row,
+)
+from .core.numerics.vec3 import (
+    subtract as subtract_vectors,
 )
 from .core.processes import (
     worker_pool,
@@ -175,10 +195,23 @@ from .dataset.format.splits import (
     write_splits,
 )
 from .echogram.echogram import (
+    EDGE as KIND_EDGE,
+)
+from .echogram.echogram import (
+    EDGE_MIRROR as KIND_EDGE_MIRROR,
+)
+from .echogram.echogram import (
+    MIRRORS as KIND_MIRRORS,
+)
+from .echogram.echogram import (
+    MIRRORS_AND_BACK as KIND_MIRRORS_AND_BACK,
+)
+from .echogram.echogram import (
     direct_arrival,
     without_arrivals,
 )
 from .echogram.filters import (
+    air_left,
     air_spectrum,
     arrival_filters,
     band_shares,
@@ -298,12 +331,11 @@ from .nav.navigation_graph import (
 from .nav.sensor_table import (
     POINTGOAL,
 )
-from .nav.sensor_table import pointgoal as pointgoal_reading
-from .nav.sensors import SensorSuite
-from .nav.sound_field import (
-    PathsName,
-    Place,
-    SimulatedPaths,
+from .nav.sensor_table import (
+    pointgoal as pointgoal_reading,
+)
+from .nav.sensors import (
+    SensorSuite,
 )
 from .nav.sounds import (
     DEFAULT as DEFAULT_SOUND,
@@ -311,8 +343,12 @@ from .nav.sounds import (
 from .nav.synthetic_sounds import (
     synthesise,
 )
-from .nav.task import SLACK as SLACK_REWARD
-from .nav.task import SUCCESS as SUCCESS_REWARD
+from .nav.task import (
+    SLACK as SLACK_REWARD,
+)
+from .nav.task import (
+    SUCCESS as SUCCESS_REWARD,
+)
 from .nav.task import (
     EarMode,
     TaskName,
@@ -347,7 +383,9 @@ from .rendering.dry import (
 from .rendering.harmonics import (
     harmonics_n3d,
 )
-from .rendering.hrtf import Hrtf
+from .rendering.hrtf import (
+    Hrtf,
+)
 from .rendering.soundfield import (
     convert as convert_ambisonics,
 )
@@ -428,6 +466,7 @@ from .scene.rays.directions import (
 from .scene.rays.geometry import (
     Geometry,
     cast_ray,
+    unoccluded,
 )
 from .scene.section import (
     section,
@@ -445,8 +484,17 @@ from .scene.walkable import (
 from .scene.walkable import (
     neighbours as neighbouring_cells,
 )
+from .transport.arrivals.images import (
+    beside_edge,
+    image_of,
+    reflection_point,
+)
+from .transport.arrivals.images import (
+    bounce as mirror_bounce,
+)
 from .transport.arrivals.prepared import (
     prepare_planes,
+    prepare_wedges,
 )
 from .transport.arrivals.specular_planes import (
     SpecularPlanes,
@@ -454,6 +502,12 @@ from .transport.arrivals.specular_planes import (
 )
 from .transport.arrivals.technique import (
     DIRECT as DIRECT_SOUND,
+)
+from .transport.arrivals.wedges import (
+    Wedges,
+)
+from .transport.discrete_paths import (
+    SimulatedPaths,
 )
 from .transport.integrator import (
     simulate_tile,
@@ -501,6 +555,10 @@ __all__ = [
     "HEADINGS",
     "INTERRUPTED",
     "INV_4PI",
+    "KIND_EDGE",
+    "KIND_EDGE_MIRROR",
+    "KIND_MIRRORS",
+    "KIND_MIRRORS_AND_BACK",
     "LEAST_DISTANCE",
     "LEFT",
     "LENGTH_UNITS",
@@ -547,8 +605,6 @@ __all__ = [
     "MaterialGroups",
     "Meter",
     "Observation",
-    "PathsName",
-    "Place",
     "PlyElements",
     "PlyLists",
     "PreparedScene",
@@ -562,9 +618,12 @@ __all__ = [
     "SpecularPlanes",
     "TableEntry",
     "TaskName",
+    "Vec3",
     "WarmUp",
     "WaveField",
+    "Wedges",
     "absorption_shares",
+    "air_left",
     "air_spectrum",
     "air_transmission",
     "arrival_filters",
@@ -575,6 +634,7 @@ __all__ = [
     "band_means",
     "band_shares",
     "band_windows",
+    "beside_edge",
     "boxes_mesh",
     "building_of",
     "building_rooms",
@@ -603,6 +663,7 @@ __all__ = [
     "delayed",
     "direct_arrival",
     "direction_filters",
+    "dot_product",
     "draw_trail",
     "drawn_size",
     "echograms_measures",
@@ -623,6 +684,7 @@ __all__ = [
     "harmonics_n3d",
     "has_octave",
     "heading_index",
+    "image_of",
     "in_our_words",
     "in_processes",
     "inside_polygon",
@@ -639,6 +701,7 @@ __all__ = [
     "measure_jacobian",
     "merge_results",
     "minimum_phase",
+    "mirror_bounce",
     "mono",
     "music",
     "nearest_name",
@@ -664,10 +727,12 @@ __all__ = [
     "plain_dataset",
     "ply_header",
     "png",
+    "point_distance",
     "point_keys",
     "pointgoal_reading",
     "prepare_planes",
     "prepare_scene",
+    "prepare_wedges",
     "publish_file",
     "read_bytes",
     "read_floorplan",
@@ -679,6 +744,7 @@ __all__ = [
     "read_sound",
     "read_splits",
     "read_text",
+    "reflection_point",
     "reported",
     "response_length",
     "rotation_matrix",
@@ -698,14 +764,18 @@ __all__ = [
     "split_file",
     "state_info",
     "storeys_of",
+    "subtract_vectors",
     "syllables",
     "synthesise",
     "takes_scene",
     "thread_count",
     "unique_rows",
+    "unoccluded",
     "unpacked_archive",
     "unpacked_episodes",
     "variety",
+    "vector_length",
+    "vector_row",
     "walk_straight",
     "wanted_episode",
     "wav_bytes",

@@ -10,7 +10,6 @@ from .evaluate import Result, evaluate
 from .generate import make_episodes
 from .metrics import Metrics, episode_metrics
 from .navigation_graph import NavigationGraph
-from .sound_field import SoundField
 from .sounds import SoundBank
 from .vector import AudioNavVectorEnv
 from .views import bake_views
@@ -29,7 +28,6 @@ __all__ = [
     "Random",
     "Result",
     "SoundBank",
-    "SoundField",
     "bake_sound",
     "bake_views",
     "depth_views",

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import scipy.signal
 from soundspaces_continuous.signals import SourceSignal
+from soundspaces_continuous.sound_field import SoundField
 from soundspaces_continuous.step_renderer import Sounding, StepRenderer
 
 import soundspaces_sim.nav as nav
 from neighbours.continuous.tests.twin import below
 from soundspaces_sim.nav.cache import BlockCache
-from soundspaces_sim.nav.sound_field import SoundField
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
 
 SCENES = {"ladder": lattice_scene(LADDER, "ladder"), "tee": lattice_scene(T_CORRIDOR, "tee")}

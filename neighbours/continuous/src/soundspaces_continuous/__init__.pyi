@@ -5,6 +5,7 @@ from .draw import draw_episode
 from .env import ContinuousNavEnv, ContinuousNavVectorEnv, ContinuousSetting
 from .episodes import ContinuousEpisode, Rules, SoundSource
 from .savnce import savnce_options, savnce_own_sensors
+from .sound_field import SoundField
 from .state import ContinuousState
 from .task import ContinuousOptions
 
@@ -21,6 +22,7 @@ __all__ = [
     "ContinuousState",
     "DirectionFollower",
     "Rules",
+    "SoundField",
     "SoundSource",
     "draw_episode",
     "register_environments",

@@ -8,10 +8,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from soundspaces_continuous.episodes import ContinuousEpisode, SoundSource
+from soundspaces_continuous.sound_field import Place
 from soundspaces_continuous.task import ContinuousOptions
 from soundspaces_continuous.world import ContinuousWorld
 from soundspaces_sim.nav import Metrics, episode_metrics
-from soundspaces_sim.parts import FORWARD, LEFT, RIGHT, STOP, EpisodeError, Place
+from soundspaces_sim.parts import FORWARD, LEFT, RIGHT, STOP, EpisodeError
 from soundspaces_sim.parts import SLACK_REWARD as SLACK
 from soundspaces_sim.parts import SUCCESS_REWARD as SUCCESS
 

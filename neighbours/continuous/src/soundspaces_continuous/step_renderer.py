@@ -24,12 +24,11 @@ import numpy as np
 import scipy.fft
 
 from soundspaces_continuous.signals import SourceSignal
+from soundspaces_continuous.sound_field import Place, SoundField
 from soundspaces_sim import ConfigError, Echogram, binaural_rirs
-from soundspaces_sim.nav import SoundField
 from soundspaces_sim.parts import (
     BlockCache,
     LastUsed,
-    Place,
     air_spectrum,
     arrival_filters,
     decoder_filters,

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any, get_args
 
 from soundspaces_continuous.episodes import ContinuousEpisode, Rules
+from soundspaces_continuous.sound_field import PathsName
 from soundspaces_sim import ConfigError, Scene
 from soundspaces_sim.nav import NavData, SoundBank
 from soundspaces_sim.parts import DEFAULT_SOUND as DEFAULT
-from soundspaces_sim.parts import POINTGOAL, PathsName, as_sensors, check_keywords
+from soundspaces_sim.parts import POINTGOAL, as_sensors, check_keywords
 from soundspaces_sim.parts import check_picture_size as check_size
 from soundspaces_sim.parts import nearest_name as nearest
 

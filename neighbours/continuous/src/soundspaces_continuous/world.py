@@ -10,19 +10,12 @@ import numpy as np
 from soundspaces_continuous.distances import CELL, DistanceField, Lattice, fill_distances
 from soundspaces_continuous.episodes import ContinuousEpisode, SoundSource
 from soundspaces_continuous.obstacles import SKIN, are_free, least_clearances, make_obstacles, move_disc
+from soundspaces_continuous.sound_field import Place, SoundField
 from soundspaces_continuous.step_renderer import StepRenderer
 from soundspaces_continuous.task import ContinuousOptions
 from soundspaces_sim import GraphConfig, PointError, RirDataset, Scene
-from soundspaces_sim.nav import NavigationGraph, SoundField
-from soundspaces_sim.parts import (
-    BlockCache,
-    EpisodeError,
-    Geometry,
-    Place,
-    cast_ray,
-    check_scene,
-    kernel,
-)
+from soundspaces_sim.nav import NavigationGraph
+from soundspaces_sim.parts import BlockCache, EpisodeError, Geometry, cast_ray, check_scene, kernel
 
 
 class Floor:

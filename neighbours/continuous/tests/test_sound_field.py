@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from soundspaces_continuous.sound_field import SoundField
 
 import soundspaces_sim as ss
 import soundspaces_sim.nav as nav
 from soundspaces_sim.core.simulation_config import RadianceTransferConfig
-from soundspaces_sim.nav.sound_field import SoundField
 from tests.nav.conftest import LADDER, T_CORRIDOR, lattice_scene
 
 SCENES = {"ladder": lattice_scene(LADDER, "ladder"), "tee": lattice_scene(T_CORRIDOR, "tee")}

@@ -18,16 +18,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.limits import LEAST_DISTANCE
-from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, length, row, subtract
-from soundspaces_sim.echogram.echogram import EDGE, EDGE_MIRROR, MIRRORS, MIRRORS_AND_BACK, Echogram
-from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.transport.arrivals.images import beside_edge, bounce, image_of, reflection_point
-from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes
-from soundspaces_sim.transport.arrivals.wedges import Wedges
-from soundspaces_sim.transport.model import air_transmission
+from soundspaces_sim import Echogram, SimulationConfig
+from soundspaces_sim.parts import KIND_EDGE as EDGE
+from soundspaces_sim.parts import KIND_EDGE_MIRROR as EDGE_MIRROR
+from soundspaces_sim.parts import KIND_MIRRORS as MIRRORS
+from soundspaces_sim.parts import KIND_MIRRORS_AND_BACK as MIRRORS_AND_BACK
+from soundspaces_sim.parts import (
+    LEAST_DISTANCE,
+    Geometry,
+    SpecularPlanes,
+    Vec3,
+    Wedges,
+    air_transmission,
+    beside_edge,
+    image_of,
+    kernel,
+    reflection_point,
+    unoccluded,
+)
+from soundspaces_sim.parts import dot_product as dot
+from soundspaces_sim.parts import kernel_part as part
+from soundspaces_sim.parts import mirror_bounce as bounce
+from soundspaces_sim.parts import point_distance as distance
+from soundspaces_sim.parts import subtract_vectors as subtract
+from soundspaces_sim.parts import vector_length as length
+from soundspaces_sim.parts import vector_row as row
 
 DIRECT, THROUGH_WALLS = -1, -2  # kinds of path beside `echogram.KINDS`
 _SQUARE = 1e-6  # cosine
