@@ -2,9 +2,6 @@
 
 from .build.build import build_dataset, build_datasets
 from .build.inspect import SceneReport, inspect_scene
-from .build.random_room_files import build_random_rooms
-from .build.room_files import build_rooms
-from .build.room_stream import RoomStream
 from .build.rooms import simulate_many
 from .core.config import GraphConfig, GridConfig, JobConfig, load_config
 from .core.errors import (
@@ -95,7 +92,6 @@ __all__ = [
     "RandomMaterials",
     "RirCollection",
     "RirDataset",
-    "RoomStream",
     "Scene",
     "SceneError",
     "SceneReport",
@@ -118,8 +114,6 @@ __all__ = [
     "binaural_rirs",
     "build_dataset",
     "build_datasets",
-    "build_random_rooms",
-    "build_rooms",
     "citation",
     "directed",
     "gradient",

@@ -7,7 +7,9 @@ from .build.forecast import (
     forecast,
 )
 from .build.rooms import (
+    ROOM_CONFIG,
     in_processes,
+    room_named,
 )
 from .build.warm_up import (
     WarmUp,
@@ -59,10 +61,14 @@ from .core.io.files import (
 )
 from .core.io.hdf5 import (
     attribute,
+    create_hdf5,
     in_our_words,
     open_hdf5,
     plain_dataset,
     read_numbers,
+)
+from .core.io.hdf5 import (
+    written as written_hdf5,
 )
 from .core.io.resources import (
     resource as packaged_file,
@@ -125,6 +131,9 @@ from .core.numerics.rng import (
 from .core.numerics.rows import (
     unique_rows,
 )
+from .core.numerics.target import (
+    code_target,
+)
 from .core.numerics.vec3 import (
     Vec3,
 )
@@ -146,6 +155,15 @@ from .core.numerics.vec3 import (
 from .core.processes import (
     worker_pool,
 )
+from .core.profile import (
+    adopt as adopt_profile,
+)
+from .core.profile import (
+    here as profile_here,
+)
+from .core.profile import (
+    stage as profile_stage,
+)
 from .core.registry import (
     Entry as TableEntry,
 )
@@ -160,6 +178,16 @@ from .core.registry import (
 )
 from .core.simulation_config import (
     number_text,
+    of_simulation,
+)
+from .dataset.exporters.lhotse import (
+    packed_lines,
+)
+from .dataset.exporters.lhotse import (
+    recording as lhotse_recording,
+)
+from .dataset.exporters.lhotse import (
+    supervision as lhotse_supervision,
 )
 from .dataset.exporters.wav import (
     wav_bytes,
@@ -189,10 +217,19 @@ from .dataset.format.manifest import (
 from .dataset.format.manifest import (
     read_manifest,
 )
+from .dataset.format.shard import (
+    is_valid as is_valid_shard,
+)
 from .dataset.format.splits import (
     SPLITS,
     read_splits,
     write_splits,
+)
+from .dataset.format.writing import (
+    encode_echograms,
+)
+from .echogram.directed import (
+    directed_table,
 )
 from .echogram.echogram import (
     EDGE as KIND_EDGE,
@@ -231,6 +268,9 @@ from .echogram.material_spread import (
 )
 from .echogram.material_spread import (
     shares as absorption_shares,
+)
+from .echogram.measure_errors import (
+    DIRECT_S,
 )
 from .echogram.measure_names import (
     MEASURES,
@@ -521,7 +561,11 @@ from .transport.preparation import (
     prepare_scene,
 )
 from .transport.simulate import (
+    as_points,
+    model_between,
+    simulate_between,
     simulate_pairs,
+    with_notes,
 )
 from .transport.techniques import (
     TECHNIQUES,
@@ -547,6 +591,7 @@ __all__ = [
     "DAMAGED",
     "DEFAULT_BANDS",
     "DEFAULT_SOUND",
+    "DIRECT_S",
     "DIRECT_SOUND",
     "ENGINES",
     "EPISODES_FOLDER",
@@ -577,6 +622,7 @@ __all__ = [
     "RANGES",
     "RIGHT",
     "RMS_AT_1_M",
+    "ROOM_CONFIG",
     "SLACK_REWARD",
     "SPLITS",
     "STOP",
@@ -623,10 +669,12 @@ __all__ = [
     "WaveField",
     "Wedges",
     "absorption_shares",
+    "adopt_profile",
     "air_left",
     "air_spectrum",
     "air_transmission",
     "arrival_filters",
+    "as_points",
     "as_sensors",
     "at_points",
     "attribute",
@@ -652,21 +700,25 @@ __all__ = [
     "check_scene",
     "closedness",
     "closure_error_db",
+    "code_target",
     "collected_dataset",
     "combine_keys",
     "compile_ahead",
     "convert_ambisonics",
     "core_count",
+    "create_hdf5",
     "data_delay",
     "decay_curve",
     "decoder_filters",
     "delayed",
     "direct_arrival",
+    "directed_table",
     "direction_filters",
     "dot_product",
     "draw_trail",
     "drawn_size",
     "echograms_measures",
+    "encode_echograms",
     "energy_measures",
     "entry_names",
     "env_options",
@@ -689,9 +741,12 @@ __all__ = [
     "in_processes",
     "inside_polygon",
     "install_hint",
+    "is_valid_shard",
     "kernel",
     "kernel_part",
     "levels_of",
+    "lhotse_recording",
+    "lhotse_supervision",
     "limit_transmission",
     "load_result",
     "logit_reproducibility",
@@ -702,6 +757,7 @@ __all__ = [
     "merge_results",
     "minimum_phase",
     "mirror_bounce",
+    "model_between",
     "mono",
     "music",
     "nearest_name",
@@ -713,6 +769,7 @@ __all__ = [
     "number_text",
     "octave_material",
     "octaves_below",
+    "of_simulation",
     "open_found",
     "open_hdf5",
     "open_mesh",
@@ -721,6 +778,7 @@ __all__ = [
     "output_folder",
     "overlay_tables",
     "packaged_file",
+    "packed_lines",
     "pair_seed",
     "parse_xml",
     "place_responses",
@@ -733,6 +791,8 @@ __all__ = [
     "prepare_planes",
     "prepare_scene",
     "prepare_wedges",
+    "profile_here",
+    "profile_stage",
     "publish_file",
     "read_bytes",
     "read_floorplan",
@@ -747,6 +807,7 @@ __all__ = [
     "reflection_point",
     "reported",
     "response_length",
+    "room_named",
     "rotation_matrix",
     "run_app",
     "scene_of_dataset",
@@ -756,6 +817,7 @@ __all__ = [
     "set_thread_count",
     "shares",
     "shrink_views",
+    "simulate_between",
     "simulate_pairs",
     "simulate_tile",
     "size_text",
@@ -779,9 +841,11 @@ __all__ = [
     "walk_straight",
     "wanted_episode",
     "wav_bytes",
+    "with_notes",
     "without_arrivals",
     "worker_pool",
     "write_collection",
     "write_page",
     "write_splits",
+    "written_hdf5",
 ]

@@ -1,12 +1,11 @@
-"""For PyTorch (extra ``torch``): responses on a device, datasets and streams for loaders, reverberation as a
-module.
+"""For PyTorch (extra ``torch``): responses on a device, datasets for loaders, reverberation as a module.
 
     import soundspaces_sim as ss
     import soundspaces_sim.torch
     renderer = ss.torch.Renderer(ss.open_dataset("out/demo", rate=16000), device="cuda")
     responses = renderer.binaural(renderer.dataset.sample(256), headings_deg=90.0)  # (256, 2, n)
 
-Names are loaded when they are first used: reading a dataset does not load the tracer, which streams of rooms need.
+Names are loaded when they are first used.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from soundspaces_sim.build.torch_rooms import TorchRoomStream as TorchRoomStream
     from soundspaces_sim.dataset.torch_dataset import TorchRirDataset as TorchRirDataset
     from soundspaces_sim.dataset.torch_renderer import Renderer as Renderer
     from soundspaces_sim.dataset.torch_reverberate import Reverberate as Reverberate
@@ -24,7 +22,6 @@ _WHERE = {
     "Renderer": "soundspaces_sim.dataset.torch_renderer",
     "Reverberate": "soundspaces_sim.dataset.torch_reverberate",
     "TorchRirDataset": "soundspaces_sim.dataset.torch_dataset",
-    "TorchRoomStream": "soundspaces_sim.build.torch_rooms",
 }
 __all__ = list(_WHERE)
 

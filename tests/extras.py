@@ -76,7 +76,7 @@ GROUPS = {
             "neighbours/tasks/tests/test_tasks.py",
             "tests/dataset/test_torch.py",
             "tests/dataset/test_torch_renderer.py",
-            "tests/build/test_torch_rooms.py",
+            "neighbours/rooms/tests/test_torch_rooms.py",
             "tests/test_readme.py::test_documentation_runs",
             "tests/test_readme.py::test_python_of_a_row_runs",
         ),

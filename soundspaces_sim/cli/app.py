@@ -6,15 +6,7 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.cli import (
-    datasets,
-    jobs,
-    nav,
-    neighbours,
-    pictures,
-    rooms,
-    simulation,
-)
+from soundspaces_sim.cli import datasets, jobs, nav, neighbours, pictures, simulation
 from soundspaces_sim.cli.console import run_app, set_up_logging
 from soundspaces_sim.core.version import version_text
 
@@ -47,7 +39,6 @@ def main_options(
 
 for command in (
     simulation.rirs,
-    rooms.rooms,
     jobs.plan,
     jobs.status,
     jobs.finish,

@@ -17,6 +17,7 @@ COMMANDS = {
         "collections",
         "Build datasets of many generated buildings: splits, episodes, report.",
     ),
+    "rooms": ("rooms", "Simulate many rooms: random ones for speech, or those of a list."),
     "explore": ("explorer", "Hear a scene in the browser while it is simulated, or a dataset."),
 }
 WITHOUT_OWN_OPTIONS = {

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.room_files import RoomLine
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import parse_json
@@ -77,9 +76,6 @@ def test_far_points_are_told_before_air_is_tabulated(length: float) -> None:
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\x00", " "])
 def test_names_do_not_end_in_a_line(end: str) -> None:
-    line = {"name": f"a{end}", "sources": [], "listeners": []}
-    with pytest.raises(msgspec.ValidationError):
-        msgspec.convert(line, RoomLine)
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert({"file": f"a{end}", "bytes": 0, "sha256": ""}, BesideEntry)
     with pytest.raises(msgspec.ValidationError):

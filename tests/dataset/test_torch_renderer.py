@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.signal import fftconvolve
+from soundspaces_rooms.room_stream import _until
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.room_stream import _until
 from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.rendering.ambisonics import pair_seed

@@ -164,21 +164,6 @@ def test_how_far_compensated_energies_rise() -> None:
 
 
 @ci_slow
-def test_a_room_that_decays_with_two_slopes() -> None:
-    """Room 9 of a stream of all kinds, with two talkers: some sound stays between hard walls, which few subpaths tell.
-    Compensated for the decay of the rest it rose by 19 nepers, and the room was refused on 2026-11-26."""
-    ss.RoomStream(sources=(2, 2), microphones=(1, 1)).item(9)
-
-
-@ci_slow
-def test_rooms_of_all_kinds(rises: list[float]) -> None:
-    """Twenty of a stream: compensated energies rise by less than 4 nepers (of sixty that were tried by 2.0 at most)."""
-    stream = ss.RoomStream()
-    for room in range(20):
-        stream.item(room)
-    assert len(rises) >= 20 and max(rises) < 4.0, max(rises)
-
-
 def test_a_point_is_refused_for_itself(rises: list[float]) -> None:
     """Each point's energies are looked at alone, so that what is refused does not depend on the tile."""
     config = ss.SimulationConfig(walks=64, duration=0.3, radiance_transfer=OWN)

@@ -13,11 +13,13 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io.wavfile
+from soundspaces_rooms import RoomStream
+from soundspaces_rooms.random_room_files import build_random_rooms, hdf5
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.random_room_files import build_random_rooms
 from soundspaces_sim.cli.app import app
+from tests.core.test_hdf5 import WrongChecksum
 from tests.marks import ci_slow
 
 CONFIG = ss.SimulationConfig(
@@ -26,12 +28,12 @@ CONFIG = ss.SimulationConfig(
 ROOMS = 4
 
 
-def _stream(**more: Any) -> ss.RoomStream:
+def _stream(**more: Any) -> RoomStream:
     given = {
         "seed": 3, "count": ROOMS, "rate": 8000, "config": CONFIG, "kinds": ("shoebox",), "sources": (1, 2),
         "microphones": (2, 3),
     }  # fmt: skip
-    return ss.RoomStream(**{**given, **more})
+    return RoomStream(**{**given, **more})
 
 
 def _files(out: Path) -> dict[str, bytes]:
@@ -99,13 +101,13 @@ def test_what_is_whole_stays_and_more_rooms_go_on(
     list(build_random_rooms(_stream(), tmp_path, jobs=1, per_file=3))
     assert _files(tmp_path) == _files(tars)
     (tmp_path / "rooms-000001.tar").unlink()
-    made, item = [], ss.RoomStream.item
+    made, item = [], RoomStream.item
 
-    def noted(stream: ss.RoomStream, number: int) -> dict[str, Any]:
+    def noted(stream: RoomStream, number: int) -> dict[str, Any]:
         made.append(number)
         return item(stream, number)
 
-    monkeypatch.setattr(ss.RoomStream, "item", noted)
+    monkeypatch.setattr(RoomStream, "item", noted)
     told = list(build_random_rooms(_stream(), tmp_path, jobs=1, per_file=3))
     assert made == [3] and told[-1].there == 3
     assert _files(tmp_path) == _files(tars)
@@ -139,14 +141,14 @@ def test_other_layouts_hold_the_same(tmp_path: Path, items: list[dict[str, Any]]
 
 
 def test_a_room_that_fails_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    item = ss.RoomStream.item
+    item = RoomStream.item
 
-    def second_fails(stream: ss.RoomStream, number: int) -> dict[str, Any]:
+    def second_fails(stream: RoomStream, number: int) -> dict[str, Any]:
         if number == 1:
             raise ss.SimulationError("room 1: no room for 3 places")
         return item(stream, number)
 
-    monkeypatch.setattr(ss.RoomStream, "item", second_fails)
+    monkeypatch.setattr(RoomStream, "item", second_fails)
     told = list(build_random_rooms(_stream(count=2), tmp_path, jobs=1))
     assert told[-1] == (2, 2, 0, 1)
     assert {line["room"] for line in _lines(tmp_path / "rooms.jsonl")} == {0}
@@ -187,6 +189,12 @@ def test_the_command(tmp_path: Path) -> None:
     assert line["channels"] == 2 and line["kind"] == "polygon"
     for wrong in (["rooms"], ["rooms", "list.jsonl", "--count", "2"]):
         result = CliRunner().invoke(app, wrong)
-        assert result.exit_code != 0 and "either LIST or --count" in str(
-            result.exception or result.output
-        )
+        assert result.exit_code != 0 and "either LIST or --count" in result.output
+
+
+def test_a_file_that_cannot_be_opened_is_not_published(monkeypatch: pytest.MonkeyPatch) -> None:
+    items = [{"room": 0, "rir": np.ones((1, 2, 8))}]
+    assert hdf5(0, items, 16000).content
+    monkeypatch.setattr(io, "BytesIO", WrongChecksum)
+    with pytest.raises(ss.DatasetError, match="checksum"):
+        hdf5(0, items, 16000)

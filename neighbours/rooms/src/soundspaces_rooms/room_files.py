@@ -16,20 +16,34 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 import numpy as np
 
-from soundspaces_sim.build.rooms import ROOM_CONFIG, in_processes, room_named
-from soundspaces_sim.core.config import JobConfig
-from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.io.untrusted import read_text
-from soundspaces_sim.core.numerics.target import code_target
-from soundspaces_sim.core.profile import Stage, here, profiled, stage
-from soundspaces_sim.core.version import __version__
-from soundspaces_sim.dataset.format.shard import is_valid
-from soundspaces_sim.dataset.format.writing import encode_echograms
-from soundspaces_sim.scene.build import shoebox
-from soundspaces_sim.scene.load import load_scene
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.simulate import as_points, model_between, simulate_between, with_notes
+from soundspaces_sim import (
+    ConfigError,
+    DatasetError,
+    JobConfig,
+    Scene,
+    Stage,
+    __version__,
+    load_scene,
+    profiled,
+    shoebox,
+)
+from soundspaces_sim.parts import (
+    ROOM_CONFIG,
+    as_points,
+    code_target,
+    encode_echograms,
+    in_processes,
+    make_folder,
+    model_between,
+    read_text,
+    room_named,
+    simulate_between,
+    with_notes,
+)
+from soundspaces_sim.parts import is_valid_shard as is_valid
+from soundspaces_sim.parts import profile_here as here
+from soundspaces_sim.parts import profile_stage as stage
+from soundspaces_sim.parts import publish_file as publish
 
 _MOST = 2**30  # bytes of a list
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}\Z"

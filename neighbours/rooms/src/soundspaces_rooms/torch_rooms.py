@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
-from soundspaces_sim.build.room_stream import Item, RoomStream
+from soundspaces_rooms.room_stream import Item, RoomStream
 
 
 class TorchRoomStream(IterableDataset[Item]):

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import oaconvolve
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.echogram.filters import minimum_phase
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import minimum_phase
 
 EDGE = 200.0  # Hz: nothing changes above
 _LOWEST = 25.0  # Hz: gains stay as they are below

@@ -25,16 +25,21 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from soundspaces_sim.build.room_stream import RoomStream
-from soundspaces_sim.build.rooms import in_processes
-from soundspaces_sim.core.errors import ConfigError, DatasetError, SceneError, SimulationError
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.io.hdf5 import create_hdf5, written
-from soundspaces_sim.core.io.untrusted import read_text
-from soundspaces_sim.core.numerics.target import code_target
-from soundspaces_sim.core.version import __version__
-from soundspaces_sim.dataset.exporters.lhotse import packed_lines, recording, supervision
-from soundspaces_sim.dataset.exporters.wav import wav_bytes
+from soundspaces_rooms.room_stream import RoomStream
+from soundspaces_sim import ConfigError, DatasetError, SceneError, SimulationError, __version__
+from soundspaces_sim.parts import (
+    code_target,
+    create_hdf5,
+    in_processes,
+    make_folder,
+    packed_lines,
+    read_text,
+    wav_bytes,
+)
+from soundspaces_sim.parts import lhotse_recording as recording
+from soundspaces_sim.parts import lhotse_supervision as supervision
+from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import written_hdf5 as written
 
 Item = dict[str, Any]
 

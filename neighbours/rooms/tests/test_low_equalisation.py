@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from soundspaces_rooms.low_equalisation import check_deviation, equalised, low_filter
 
 import soundspaces_sim as ss
-from soundspaces_sim.rendering.low_equalisation import check_deviation, equalised, low_filter
 
 CENTRES = 200.0 * 2.0 ** (-np.arange(1, 10) / 3.0)
 

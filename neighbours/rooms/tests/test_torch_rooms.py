@@ -9,7 +9,7 @@ import soundspaces_sim as ss
 
 torch = pytest.importorskip("torch", reason="the extra 'torch' is not installed")
 
-from soundspaces_sim.torch import TorchRoomStream  # noqa: E402
+from soundspaces_rooms import RoomStream, TorchRoomStream  # noqa: E402
 
 FEW = ss.SimulationConfig(
     walks=16, duration=0.1, radiance_transfer=ss.RadianceTransferConfig(enabled=False)
@@ -19,7 +19,7 @@ FEW = ss.SimulationConfig(
 def test_rooms_are_stacked() -> None:
     """Every number of every room is where it was; what a room has not is zero in signals, NaN elsewhere."""
     dry = [np.random.default_rng(0).normal(size=1600)]
-    stream = ss.RoomStream(
+    stream = RoomStream(
         seed=4, count=4, rate=8000, config=FEW, kinds=("shoebox",), speech=dry, seconds=0.2
     )
     rooms = list(stream)

@@ -15,25 +15,33 @@ import msgspec
 import numpy as np
 from scipy.signal import oaconvolve
 
-from soundspaces_sim.build.rooms import room_named
-from soundspaces_sim.core.config import SimulationConfig, check_rate
-from soundspaces_sim.core.errors import ConfigError, SimulationError
-from soundspaces_sim.core.simulation_config import of_simulation
-from soundspaces_sim.echogram.directed import directed_table
-from soundspaces_sim.echogram.echogram import Echograms
-from soundspaces_sim.echogram.endpoints import Source
-from soundspaces_sim.echogram.measure_errors import DIRECT_S
-from soundspaces_sim.echogram.measure_names import MEASURES
-from soundspaces_sim.echogram.measures import echograms_measures
-from soundspaces_sim.rendering.ambisonics import pair_seed
-from soundspaces_sim.rendering.directivity import Talker
-from soundspaces_sim.rendering.low_equalisation import check_deviation, equalised
-from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir
-from soundspaces_sim.scene.build import shoebox
-from soundspaces_sim.scene.enclosure import closedness
-from soundspaces_sim.scene.load import load_scene
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.simulate import model_between, simulate_pairs
+from soundspaces_rooms.low_equalisation import check_deviation, equalised
+from soundspaces_sim import (
+    ConfigError,
+    Echograms,
+    MicrophoneArray,
+    Scene,
+    SimulationConfig,
+    SimulationError,
+    Source,
+    Talker,
+    array_rir,
+    load_scene,
+    shoebox,
+)
+from soundspaces_sim.parts import (
+    DIRECT_S,
+    MEASURES,
+    check_rate,
+    closedness,
+    directed_table,
+    echograms_measures,
+    model_between,
+    of_simulation,
+    pair_seed,
+    room_named,
+    simulate_pairs,
+)
 
 # Random rooms for speech: a scene, one to four talkers and a small array of microphones, of one generator.
 #

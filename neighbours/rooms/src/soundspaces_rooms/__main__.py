@@ -9,11 +9,20 @@ import msgspec
 import typer
 
 import soundspaces_sim as ss
-from soundspaces_sim.cli.console import Meter
-from soundspaces_sim.cli.options import ProfileOption, check_folder, read_settings, reported
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.profile import adopt
-from soundspaces_sim.core.simulation_config import of_simulation
+from soundspaces_rooms.random_room_files import build_random_rooms
+from soundspaces_rooms.room_files import build_rooms
+from soundspaces_rooms.room_stream import RoomStream
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import (
+    Meter,
+    ProfileOption,
+    check_folder,
+    of_simulation,
+    read_settings,
+    reported,
+    run_app,
+)
+from soundspaces_sim.parts import adopt_profile as adopt
 
 _OF_RANDOM = "Of --count. "
 _List = Annotated[
@@ -50,7 +59,10 @@ _Low = Annotated[
 ]
 _PerFile = Annotated[int | None, typer.Option(help=_OF_RANDOM + "Rooms of a shard; default 100.")]
 
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
+
+@app.command()
 def rooms(
     listed: _List = None,
     out: _Out = Path("rooms"),
@@ -118,7 +130,7 @@ def rooms(
 def _of_list(listed: Path, out: Path, settings: ss.JobConfig, jobs: int | None, profile: bool) -> None:
     done = made = pairs = 0
     with reported("rooms", profile), Meter("Simulating") as meter:
-        for room in ss.build_rooms(listed, out, settings, jobs):
+        for room in build_rooms(listed, out, settings, jobs):
             adopt(room.profile)
             done, made, pairs = done + 1, made + room.made, pairs + room.pairs
             meter.update(done, room.rooms, f"{pairs:,} pairs")
@@ -137,10 +149,19 @@ def _random(
     if profile:
         raise ConfigError("--profile: expected LIST; random rooms are not told stage by stage")
     files = {name: given.pop(name) for name in ("layout", "per_file") if name in given}
-    stream = ss.RoomStream(settings.dataset.seed, count, config=settings.simulation, **given)
+    stream = RoomStream(settings.dataset.seed, count, config=settings.simulation, **given)
     with Meter("Simulating") as meter:
-        for at in ss.build_random_rooms(stream, out, jobs=jobs, **files):
+        for at in build_random_rooms(stream, out, jobs=jobs, **files):
             meter.update(at.done, at.rooms, f"{at.failed:,} failed" if at.failed else "")
     kept = f" ({at.there:,} were there)" if at.there else ""
     lost = f"; {at.failed:,} failed, as failed.jsonl says" if at.failed else ""
     print(f"Wrote {at.done - at.there:,} rooms to {out}{kept}{lost}; rooms.jsonl lists the responses")
+
+
+def main() -> None:
+    """Entry point."""
+    run_app(app)
+
+
+if __name__ == "__main__":
+    main()
