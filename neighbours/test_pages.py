@@ -9,26 +9,27 @@ import trimesh
 
 from neighbours.rlr_audio_propagation.tests import habitat_stand_in
 from tests.marks import ci_slow
+from tests.test_readme import blocks_of, run_block, run_notebook
 from tests.test_readme import demo as demo
 from tests.test_readme import few_walks as few_walks
-from tests.test_readme import run_notebook, run_page
 
 HERE = Path(__file__).resolve().parent
-PAGES = sorted(
-    page.relative_to(HERE).as_posix()
-    for page in HERE.rglob("*.md")
-    if "```python" in page.read_text("utf-8")
-)
+#: Every block of Python of the pages: page and number.
+BLOCKS = [
+    (page.relative_to(HERE).as_posix(), k)
+    for page in sorted(HERE.rglob("*.md"))
+    for k in range(len(blocks_of(page)))
+]
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_a_page_runs(page: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("page", "number"), BLOCKS)
+def test_a_page_runs(page: str, number: int, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(demo)
     if page.startswith("rlr_"):  # an example is for users of habitat-sim
         trimesh.creation.box(bounds=[[-1.0, 0.0, -5.0], [6.0, 2.7, 1.0]]).export("apartment.glb")
         if importlib.util.find_spec("habitat_sim") is None:
             monkeypatch.setitem(sys.modules, "habitat_sim", habitat_stand_in)
-    assert run_page(HERE / page) > 0
+    run_block(blocks_of(HERE / page)[number])
 
 
 @pytest.mark.filterwarnings("ignore:.*non-interactive.*:UserWarning")

@@ -112,6 +112,9 @@ def run_page(page: Path) -> int:
 
 
 def run_block(code: str) -> None:
+    """Run a block, or skip the test where it wants PyTorch and there is none."""
+    if re.search(r"^(?:import|from) \S*torch", code, re.MULTILINE):
+        pytest.importorskip("torch", reason="the extra `torch` is not installed")
     exec(code, {"__name__": "example"})
     gc.collect()  # datasets that it left open: HDF5 opens no file a second time with other locking
 
@@ -121,8 +124,6 @@ def test_documentation_runs(
     page: str, number: int, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code = blocks_of(DOCS / page)[number]
-    if re.search(r"^(?:import|from) \S*torch", code, re.MULTILINE):
-        pytest.importorskip("torch", reason="the extra `torch` is not installed")
     monkeypatch.chdir(request.getfixturevalue("waves" if "out/waves" in code else "walls"))
     run_block(code)
 
