@@ -57,8 +57,7 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import gradient, low_measures, simulate, simulate_low
-from .transport.waves.responses import LowResponses
+from .transport.api import gradient, simulate
 
 __all__ = [
     "Arrival",
@@ -79,7 +78,6 @@ __all__ = [
     "JobConfig",
     "Listener",
     "LowConfig",
-    "LowResponses",
     "MaterialError",
     "MaterialTable",
     "MaterialsConfig",
@@ -121,7 +119,6 @@ __all__ = [
     "inspect_scene",
     "load_config",
     "load_scene",
-    "low_measures",
     "make_graph",
     "make_grid",
     "open_dataset",
@@ -132,7 +129,6 @@ __all__ = [
     "room_parameters",
     "shoebox",
     "simulate",
-    "simulate_low",
     "simulate_many",
     "spectrogram",
     "verify_dataset",

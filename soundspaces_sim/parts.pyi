@@ -53,6 +53,9 @@ from .core.extras import (
 from .core.extras import (
     need as need_extras,
 )
+from .core.interrupts import (
+    check as check_interrupts,
+)
 from .core.io.files import (
     make_folder,
 )
@@ -94,12 +97,17 @@ from .core.keywords import (
 )
 from .core.limits import (
     LEAST_DISTANCE,
+    require_within,
 )
 from .core.limits import (
     LONGEST as LONGEST_RESPONSE,
 )
 from .core.memory import (
+    check_memory,
     free_memory,
+)
+from .core.numerics.air import (
+    Air,
 )
 from .core.numerics.axes import (
     rotation_matrix,
@@ -110,12 +118,14 @@ from .core.numerics.bands import (
     MOST_BANDS,
     band_means,
     center_frequencies,
+    check_edges,
     fractional_octaves,
     nominal,
 )
 from .core.numerics.kernel import (
     core_count,
     kernel,
+    over_rows,
     set_thread_count,
     thread_count,
 )
@@ -256,9 +266,24 @@ from .echogram.filters import (
     minimum_phase,
 )
 from .echogram.low_measures import (
+    LOW_MEASURES,
     has_octave,
     low_levels,
+    low_measures,
     octaves_below,
+)
+from .echogram.low_response import (
+    CHANNELS as LOW_CHANNELS,
+)
+from .echogram.low_response import (
+    LEAD_S,
+    LowResponse,
+    lead_samples,
+    response_rate,
+    response_samples,
+)
+from .echogram.low_response import (
+    band_gain as low_band_gain,
 )
 from .echogram.material_spread import (
     logit_reproducibility,
@@ -439,6 +464,7 @@ from .rendering.waves import (
     WaveField,
 )
 from .scene.enclosure import (
+    check_ends,
     check_inside,
     closedness,
 )
@@ -500,6 +526,9 @@ from .scene.materials import (
 from .scene.materials import (
     overlay as overlay_tables,
 )
+from .scene.porous_layers import (
+    mounted as mounted_layers,
+)
 from .scene.rays.directions import (
     INV_4PI,
 )
@@ -546,6 +575,12 @@ from .transport.arrivals.technique import (
 from .transport.arrivals.wedges import (
     Wedges,
 )
+from .transport.bsdf.impedance import (
+    flow_resistance,
+)
+from .transport.bsdf.impedance import (
+    impedance as surface_impedance,
+)
 from .transport.discrete_paths import (
     SimulatedPaths,
 )
@@ -553,6 +588,7 @@ from .transport.integrator import (
     simulate_tile,
 )
 from .transport.model import (
+    Model,
     PreparedScene,
     air_transmission,
 )
@@ -604,10 +640,13 @@ __all__ = [
     "KIND_EDGE_MIRROR",
     "KIND_MIRRORS",
     "KIND_MIRRORS_AND_BACK",
+    "LEAD_S",
     "LEAST_DISTANCE",
     "LEFT",
     "LENGTH_UNITS",
     "LONGEST_RESPONSE",
+    "LOW_CHANNELS",
+    "LOW_MEASURES",
     "MAKER",
     "MANIFEST_NAME",
     "MATERIAL_OCTAVES",
@@ -629,6 +668,7 @@ __all__ = [
     "SUCCESS_REWARD",
     "TECHNIQUES",
     "Agent",
+    "Air",
     "BlockCache",
     "Box",
     "CollectionFailure",
@@ -647,9 +687,11 @@ __all__ = [
     "Interval",
     "LabelledMesh",
     "LastUsed",
+    "LowResponse",
     "MapPage",
     "MaterialGroups",
     "Meter",
+    "Model",
     "Observation",
     "PlyElements",
     "PlyLists",
@@ -688,10 +730,14 @@ __all__ = [
     "building_rooms",
     "cast_ray",
     "center_frequencies",
+    "check_edges",
+    "check_ends",
     "check_entry_name",
     "check_folder",
     "check_inside",
+    "check_interrupts",
     "check_keywords",
+    "check_memory",
     "check_picture_size",
     "check_ply",
     "check_rate",
@@ -728,6 +774,7 @@ __all__ = [
     "find_matterport",
     "first_loud",
     "floor_heights",
+    "flow_resistance",
     "forecast",
     "fractional_octaves",
     "free_memory",
@@ -744,6 +791,7 @@ __all__ = [
     "is_valid_shard",
     "kernel",
     "kernel_part",
+    "lead_samples",
     "levels_of",
     "lhotse_recording",
     "lhotse_supervision",
@@ -751,7 +799,9 @@ __all__ = [
     "load_result",
     "logit_reproducibility",
     "logits",
+    "low_band_gain",
     "low_levels",
+    "low_measures",
     "make_folder",
     "measure_jacobian",
     "merge_results",
@@ -759,6 +809,7 @@ __all__ = [
     "mirror_bounce",
     "model_between",
     "mono",
+    "mounted_layers",
     "music",
     "nearest_name",
     "need_extras",
@@ -776,6 +827,7 @@ __all__ = [
     "open_sounds",
     "oracle_action",
     "output_folder",
+    "over_rows",
     "overlay_tables",
     "packaged_file",
     "packed_lines",
@@ -806,7 +858,10 @@ __all__ = [
     "read_text",
     "reflection_point",
     "reported",
+    "require_within",
     "response_length",
+    "response_rate",
+    "response_samples",
     "room_named",
     "rotation_matrix",
     "run_app",
@@ -827,6 +882,7 @@ __all__ = [
     "state_info",
     "storeys_of",
     "subtract_vectors",
+    "surface_impedance",
     "syllables",
     "synthesise",
     "takes_scene",

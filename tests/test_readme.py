@@ -53,7 +53,7 @@ USE = [
 
 
 _FEW = 400  # subpaths; texts that ask for more have 64
-_PLAIN: dict[str, Any] = {
+PLAIN: dict[str, Any] = {
     "radiance_transfer": ss.RadianceTransferConfig(enabled=False),
     "diffraction": ss.DiffractionConfig(enabled=False),
 }
@@ -76,7 +76,7 @@ def few_walks(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -
                 config,
                 walks=config.walks if config.walks and config.walks <= _FEW else 64,
                 connections=ss.ConnectionsConfig(subpaths=8),
-                **_PLAIN,
+                **PLAIN,
                 target_error=None if config.target_error is None else 1.0,
             )
             return make_model(scene, points, few, seed)
@@ -84,7 +84,7 @@ def few_walks(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -
         monkeypatch.setattr(module, "make_model", quicker)
 
 
-def _quick(walks: int = 64, duration: float = 0.3, **more: Any) -> ss.SimulationConfig:
+def quick(walks: int = 64, duration: float = 0.3, **more: Any) -> ss.SimulationConfig:
     connections = ss.ConnectionsConfig(subpaths=8)
     return ss.SimulationConfig(walks=walks, duration=duration, connections=connections, **more)
 
@@ -95,7 +95,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs")
     config = ss.JobConfig(
         grid=ss.GridConfig(spacing=1.0, rays=200),
-        simulation=_quick(walks=_FEW, **_PLAIN),  # enough to tell which ear is louder
+        simulation=quick(walks=_FEW, **PLAIN),  # enough to tell which ear is louder
     )
     scene = ss.load_scene("demo")
     points = ss.make_grid(scene, 1.0).points[:20]  # the texts speak of these
@@ -124,7 +124,7 @@ def test_documentation_runs(
     page: str, number: int, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code = blocks_of(DOCS / page)[number]
-    monkeypatch.chdir(request.getfixturevalue("waves" if "out/waves" in code else "walls"))
+    monkeypatch.chdir(request.getfixturevalue("walls"))
     run_block(code)
 
 
@@ -262,20 +262,10 @@ def _is(*beginnings: str) -> list[str]:
 @pytest.fixture(scope="module")
 def walls(demo: Path) -> Path:
     """The folder of `demo` with out/walls/demo in it, whose materials may change."""
-    config = ss.JobConfig(simulation=_quick(materials=ss.MaterialsConfig(enabled=True)))
+    config = ss.JobConfig(simulation=quick(materials=ss.MaterialsConfig(enabled=True)))
     scene = ss.load_scene("demo")
     ss.build_dataset(scene, demo / "out" / "walls", config, points=ss.make_grid(scene, 1.0).points[:6])
     return demo
-
-
-@pytest.fixture(scope="module")
-def waves(walls: Path) -> Path:
-    """The folder of `walls` with out/waves/demo in it, of waves below 90 Hz."""
-    low = ss.LowConfig(method="waves", edge=90.0)
-    config = ss.JobConfig(simulation=_quick(duration=0.2, low=low, **_PLAIN))
-    scene = ss.load_scene("demo")
-    ss.build_dataset(scene, walls / "out" / "waves", config, points=ss.make_grid(scene, 1.0).points[:4])
-    return walls
 
 
 @pytest.mark.parametrize("cell", _is("ss.", "ds.", "Torch", "gymnasium."))

@@ -32,10 +32,10 @@ from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.kept_traces import KeptTraces
+from soundspaces_sim.transport.low_method import LowRuns, low_method
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import largest_side
-from soundspaces_sim.transport.waves.pairs import WaveRuns, has_waves
 
 NAME = "job.npz"
 _TABLE = ("frequency_hz", "absorption", "scattering", "transmission")
@@ -80,11 +80,10 @@ class Job:
         return KeptTraces(self.model, self.folder)
 
     @cached_property
-    def waves(self) -> WaveRuns | None:
+    def waves(self) -> LowRuns | None:
         """The runs of its points below an edge, if it has waves."""
-        if not has_waves(self.model.config):
-            return None
-        return WaveRuns(self.model, self.points, self.folder)
+        method = low_method(self.model.config)
+        return None if method is None else method.make_runs(self.model, self.points, self.folder)
 
     @property
     def keeps(self) -> bool:

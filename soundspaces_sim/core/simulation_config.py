@@ -152,7 +152,7 @@ class MaterialsConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields
 
 class LowConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Sound below the lowest bands' edge: by rays as all else, or as waves, which have the modes of rooms
-    (docs/waves.md). Energies stay as they are; renderers take the waves below the edge.
+    (neighbours/waves/README.md). Energies stay as they are; renderers take the waves below the edge.
 
     `method`: ``waves`` runs a finite-difference solver once per point. `edge`: below which waves are simulated,
     Hz; not set, the first band's. `cells_per_wavelength`: of the lattice, at the edge. `reactance`: a table of

@@ -5,7 +5,7 @@
     image_source             image sources of first and second order, and there and back
     diffraction              paths round wedges and past the edges of finite reflectors
     radiance_transfer        late sound from patch to patch
-    waves                    finite differences in time below the first band's edge (no paths)
+    low_method               sound below the first band's edge by a neighbour (no paths)
     techniques, technique    which technique makes which paths, and what one consists of
     state, tables            records of kernels, and where energy enters a table
     preparation, model, tile a scene, and a block of pairs, in the kernels' form

@@ -20,6 +20,7 @@ from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.low_method import low_method
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
 from soundspaces_sim.transport.paths import detector
 from soundspaces_sim.transport.paths.decay import measure_decay
@@ -34,7 +35,6 @@ from soundspaces_sim.transport.scene_surfaces import (
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.technique import Facets
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.waves.pairs import check_lattice, check_points
 
 _log = logging.getLogger(__name__)
 _CONNECTION_DEPTH = 64  # paths with more events are not connected
@@ -59,7 +59,9 @@ def prepare_scene(
     """What depends on a scene and a config alone. `parts`: what is prepared already, by `Technique.prepare`."""
     if not config.porous_layers:
         scene = mounted(scene)
-    check_lattice(scene, config)
+    low = low_method(config)
+    if low is not None:
+        low.check_lattice(scene, config)
     with stage("ray structure"):
         geometry = scene.geometry  # made before threads ask for it
     for note in scene.overlap_notes:
@@ -96,7 +98,9 @@ def at_points(prepared: PreparedScene, points: np.ndarray, seed: int = 0) -> Mod
         _log.warning("%s: %s", prepared.scene.name, note)
         model = replace(model, notes=(note,))
     model = _settled(replace(model, points=len(points), asked=prepared.config))
-    check_points(model, points)
+    low = low_method(model.config)
+    if low is not None:
+        low.check_points(model, points)
     for technique in TECHNIQUES:
         if technique.describe is not None:
             _log.info(technique.describe(model))

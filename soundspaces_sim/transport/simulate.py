@@ -29,6 +29,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.arrivals.technique import ARRIVALS
 from soundspaces_sim.transport.integrator import Progress, stated, trace_tile
 from soundspaces_sim.transport.kept_traces import KeptTraces
+from soundspaces_sim.transport.low_method import LowRuns, low_method
 from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model, of_round
@@ -37,7 +38,6 @@ from soundspaces_sim.transport.rounds import known_arrivals, round_sizes, statem
 from soundspaces_sim.transport.smoothing import smoothed
 from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.techniques import TECHNIQUES
-from soundspaces_sim.transport.waves.pairs import WaveRuns, has_waves, with_waves
 
 _log = logging.getLogger(__name__)
 SIDE = 512  # points on one side of a tile at most
@@ -168,7 +168,7 @@ def simulate_pairs(
     both_ways: bool = True,
     progress: Progress | None = None,
     kept: KeptTraces | None = None,
-    waves: WaveRuns | None = None,
+    waves: LowRuns | None = None,
 ) -> tuple[Echograms, Echograms | None]:
     """Echograms a -> b and, with `both_ways`, b -> a; `b` None: all pairs of a, in one table. `kept`, `waves`: of
     this model, for tiles that come one after the other.
@@ -180,9 +180,10 @@ def simulate_pairs(
     others = a if b is None else b
     _check_room(model, len(a), len(others), 2 if b is not None and both_ways else 1)
     there, back = simulate_rays(model, a, b, both_ways, progress, kept)
-    if not has_waves(model.config):
+    method = low_method(model.config)
+    if method is None:
         return there, back
-    return with_waves(waves or WaveRuns(model), model.config, there, back)
+    return method.with_waves(waves or method.make_runs(model, None, None), model.config, there, back)
 
 
 def simulate_rays(

@@ -20,8 +20,8 @@ from soundspaces_sim.layout.navigation_graph import make_graph
 from soundspaces_sim.layout.records import FloorPlan, Grid, storeys_of
 from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.low_method import installed
 from soundspaces_sim.transport.simulate import simulate
-from soundspaces_sim.transport.waves.simulate import simulate_low
 
 LEVEL_WALKS = 250  # of a scene: enough for levels and directions
 WAVES_S = 0.8  # s, of responses below the first band's edge
@@ -66,8 +66,8 @@ class PlotData:
             with open_dataset(self.path) as ds:
                 return [ds.low(source, int(l)) for l in listeners]
         assert self.scene is not None
-        low = simulate_low(self.scene, self.points[[source]], self.points[listeners], WAVES_S)
-        return [low[0, i] for i in range(len(listeners))]
+        method = installed("waves")
+        return method.responses_from(self.scene, self.points[source], self.points[listeners], WAVES_S)
 
 
 def load_plot_data(source: str | Path, spacing: float | None = None) -> PlotData:

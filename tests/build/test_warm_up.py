@@ -31,7 +31,6 @@ _ELSEWHERE = (
     "soundspaces_sim.transport.paths.decay ",
     "soundspaces_sim.transport.radiance_transfer.derivative ",
     "soundspaces_sim.transport.reflection_counts.",
-    "soundspaces_sim.transport.waves.",
 )
 
 

@@ -6,9 +6,9 @@ import numpy as np
 from soundspaces_explorer import payloads
 
 import soundspaces_sim as ss
+from neighbours.waves.tests.test_low_clients import ds as ds
+from neighbours.waves.tests.test_low_clients import folder as folder
 from soundspaces_sim.echogram.low_measures import low_levels, octaves_below
-from tests.dataset.test_low_clients import ds as ds
-from tests.dataset.test_low_clients import folder as folder
 
 
 def test_waves_are_those_of_the_reader(ds: ss.RirDataset) -> None:

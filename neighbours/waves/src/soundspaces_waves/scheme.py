@@ -8,14 +8,13 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from soundspaces_sim.scene.materials import MaterialTable
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.waves.boundaries import LayerLinks, WallLinks, find_boundaries
-from soundspaces_sim.transport.waves.branches import WallBranches, wall_branches
-from soundspaces_sim.transport.waves.lattice import Lattice, cast_links, make_lattice
-from soundspaces_sim.transport.waves.operator import courant_number, cut_cells, stiffness_matrix
-from soundspaces_sim.transport.waves.row_algebra import FOUR
-from soundspaces_sim.transport.waves.stepping import Layers, Scheme, Sealed, Stencil, Walls
+from soundspaces_sim import MaterialTable, Scene
+from soundspaces_waves.boundaries import LayerLinks, WallLinks, find_boundaries
+from soundspaces_waves.branches import WallBranches, wall_branches
+from soundspaces_waves.lattice import Lattice, cast_links, make_lattice
+from soundspaces_waves.operator import courant_number, cut_cells, stiffness_matrix
+from soundspaces_waves.row_algebra import FOUR
+from soundspaces_waves.stepping import Layers, Scheme, Sealed, Stencil, Walls
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,20 @@ larger of both differences.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.kernel import over_rows
-from soundspaces_sim.echogram.low_measures import LOW_MEASURES, low_measures, octaves_below
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.waves.placing import sight
-from soundspaces_sim.transport.waves.responses import LowResponses
-from soundspaces_sim.transport.waves.simulate import simulate_low
+from soundspaces_sim import ConfigError, Scene, SimulationConfig, load_scene
+from soundspaces_sim.parts import LOW_MEASURES, as_points, check_edges, octaves_below, over_rows
+from soundspaces_sim.parts import low_measures as measures_of
+from soundspaces_waves.placing import sight
+from soundspaces_waves.responses import LowResponses
+from soundspaces_waves.simulate import simulate_low
 
 _COARSER = 1.5  # cells of the second lattice, over those of the first
 _LEAST_CELLS = 6.0  # per wavelength
@@ -46,17 +48,26 @@ class LowMeasures:
         return f"LowMeasures: {', '.join(self.value)} of {s} × {l} pairs, bands at {bands} Hz"
 
 
-def measures_of_waves(
-    scene: Scene,
-    sources: np.ndarray,
-    listeners: np.ndarray,
+def low_measures(
+    scene: Scene | str | Path | Any,
+    sources: ArrayLike,
+    listeners: ArrayLike,
     duration: float,
-    config: SimulationConfig,
-    edges: tuple[float, ...] | None,
+    config: SimulationConfig | None = None,
+    *,
+    edges: Sequence[float] | None = None,
 ) -> LowMeasures:
-    """Of (S, 3) `sources` and (L, 3) `listeners`, m, as `soundspaces_sim.low_measures` says."""
+    """Room measures of waves (ISO 3382-1) between (S, 3) `sources` and (L, 3) `listeners`, m, each with what the
+    lattice may be off by, and what other phases of the walls' impedances would change.
+
+    Four runs of `simulate_low` of `duration` s, at least a third more than the longest T30; of `config` what that
+    takes, and `low`: edge, cells per wavelength, reactance. `edges` (K + 1,) Hz up to that edge; by default those
+    of the octaves from 63 Hz on that lie below it. Raises `ConfigError`, and what `simulate_low` does.
+    """
+    scene, config = load_scene(scene), config or SimulationConfig()
+    a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
     low, edge = config.low, config.bands[1] if config.low.edge is None else config.low.edge
-    bands = octaves_below(edge) if edges is None else edges
+    bands = octaves_below(edge) if edges is None else tuple(check_edges(edges))
     cells = max(low.cells_per_wavelength / _COARSER, _LEAST_CELLS)
     ratio = low.cells_per_wavelength / cells
     if not ratio >= _LEAST_RATIO:
@@ -64,10 +75,12 @@ def measures_of_waves(
             f"simulation.low.cells_per_wavelength: expected at least {_LEAST_RATIO * _LEAST_CELLS:g} for a second "
             f"lattice that is coarser, got {low.cells_per_wavelength:g}"
         )
-    onset = _onsets(scene, sources, listeners, config.c)
+    onset = _onsets(scene, a, b, config.c)
 
     def found(cells: float, reactance: float) -> np.ndarray:
-        run = simulate_low(scene, sources, listeners, duration, config, edge, cells, reactance)
+        run = simulate_low(
+            scene, a, b, duration, config, edge=edge, cells_per_wavelength=cells, reactance=reactance
+        )
         return _measures(run, bands, onset)
 
     value = found(low.cells_per_wavelength, low.reactance)
@@ -92,6 +105,6 @@ def _measures(run: LowResponses, edges: tuple[float, ...], onset: np.ndarray) ->
     out = np.empty((len(LOW_MEASURES), *onset.shape, len(edges) - 1))
     for s, l in np.ndindex(onset.shape):
         begin = float(onset[s, l]) if np.isfinite(onset[s, l]) else None
-        measured = low_measures(run[s, l], edges, begin)
+        measured = measures_of(run[s, l], edges, begin)
         out[:, s, l] = [getattr(measured, name) for name in LOW_MEASURES]
     return out

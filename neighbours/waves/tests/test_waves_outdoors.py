@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import pytest
+import soundspaces_waves as sw
+from soundspaces_waves.placing import place_points
+from soundspaces_waves.row_algebra import LANES
+from soundspaces_waves.scheme import make_wave_scene
+from soundspaces_waves.solve import _source_taps, listener_taps
+from soundspaces_waves.stepping import advance, still
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.waves.placing import place_points
-from soundspaces_sim.transport.waves.row_algebra import LANES
-from soundspaces_sim.transport.waves.scheme import make_wave_scene
-from soundspaces_sim.transport.waves.solve import _source_taps, listener_taps
-from soundspaces_sim.transport.waves.stepping import advance, still
 from tests.marks import ci_slow
 from tests.rooms import box, table
 from tests.transport.exact_wedge import diffracted
@@ -71,7 +72,7 @@ def test_half_plane_and_wedge(n: float, cells: float, limit: float) -> None:
     angles = np.radians([20.0, 110.0, 170.0, 215.0, 240.0, 262.0] + [320.0] * (n == 2.0))
     places = 1.2 * np.stack([np.cos(angles), np.zeros_like(angles), np.sin(angles)], axis=1)
     at = 1.4 * np.array([np.cos(np.radians(50.0)), 0.0, np.sin(np.radians(50.0))])
-    low = ss.simulate_low(_edge_scene(n == 1.5), at, places, 0.1, DRY, cells_per_wavelength=cells)
+    low = sw.simulate_low(_edge_scene(n == 1.5), at, places, 0.1, DRY, cells_per_wavelength=cells)
     spacing = low.discretisation.spacing
     edge = 0.0 if round(2.0 * HALF / spacing) % 2 == 0 else -0.5 * spacing
     for l, place in enumerate(places):
@@ -150,11 +151,11 @@ def test_what_is_refused(what: dict[str, object], error: type[Exception]) -> Non
         "scene": ss.shoebox((3.0, 2.5, 2.4)), "sources": [[1.0, 1.0, 1.0]], "listeners": [[2.0, 1.5, 1.2]], "duration": 0.1,
     }  # fmt: skip
     with pytest.raises(error):
-        ss.simulate_low(**{**given, **what})  # type: ignore[arg-type]
+        sw.simulate_low(**{**given, **what})  # type: ignore[arg-type]
 
 
 def test_a_lattice_that_is_too_large_is_refused_before_memory_is_taken() -> None:
     with pytest.raises((ss.SimulationError, ss.ConfigError), match="cells"):
-        ss.simulate_low(
+        sw.simulate_low(
             ss.shoebox((300.0, 300.0, 50.0)), [1.0, 1.0, 1.0], [2.0, 1.0, 1.0], 0.1, edge=400.0
         )

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.transport.waves.row_algebra import (
+from soundspaces_sim.parts import kernel
+from soundspaces_sim.parts import kernel_part as part
+from soundspaces_waves.row_algebra import (
     FOUR,
     LANES,
     add_differences,

@@ -9,6 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import soundspaces_waves as sw
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig
@@ -46,11 +47,11 @@ def ds(folder: Path) -> Iterator[ss.RirDataset]:
 
 
 @pytest.fixture(scope="module")
-def alone() -> ss.LowResponses:
-    return ss.simulate_low(_room(), POINTS, POINTS, 0.3, CONFIG, cells_per_wavelength=8.0)
+def alone() -> sw.LowResponses:
+    return sw.simulate_low(_room(), POINTS, POINTS, 0.3, CONFIG, cells_per_wavelength=8.0)
 
 
-def test_quantising_is_40_db_below_the_sound(ds: ss.RirDataset, alone: ss.LowResponses) -> None:
+def test_quantising_is_40_db_below_the_sound(ds: ss.RirDataset, alone: sw.LowResponses) -> None:
     """In the whole, and in every 40 ms: it decays with the sound. Pressures are means of both ways."""
     for s, l in np.ndindex(6, 6):
         found, there, back = ds.low(s, l), alone[s, l], alone[l, s]

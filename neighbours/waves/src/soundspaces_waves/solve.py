@@ -5,16 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SimulationError
-from soundspaces_sim.core.interrupts import check
-from soundspaces_sim.core.memory import check_memory
-from soundspaces_sim.core.numerics.air import Air
-from soundspaces_sim.core.numerics.kernel import over_rows, thread_count
-from soundspaces_sim.transport.waves.placing import ROWS, place_points
-from soundspaces_sim.transport.waves.row_algebra import LANES
-from soundspaces_sim.transport.waves.scheme import WaveScene
-from soundspaces_sim.transport.waves.spectrum import make_transform, pulse, record_steps, responses
-from soundspaces_sim.transport.waves.stepping import Scheme, Taps, advance, still
+from soundspaces_sim import SimulationError
+from soundspaces_sim.parts import Air, check_memory, over_rows, thread_count
+from soundspaces_sim.parts import check_interrupts as check
+from soundspaces_waves.placing import ROWS, place_points
+from soundspaces_waves.row_algebra import LANES
+from soundspaces_waves.scheme import WaveScene
+from soundspaces_waves.spectrum import make_transform, pulse, record_steps, responses
+from soundspaces_waves.stepping import Scheme, Taps, advance, still
 
 _BLOCK = 200  # steps between looks for Ctrl-C
 

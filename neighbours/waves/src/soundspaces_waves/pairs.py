@@ -1,4 +1,4 @@
-"""Waves of the pairs of a model: one run per point, to which all others listen.
+"""Waves of the pairs of a model: one run per point, to which all others listen. What the entry point names.
 
 A run's responses depend on its source and listener alone, whatever else is run with it. The pressure is reciprocal:
 where both ways are there, they have to agree, and their mean is taken, so that it is the same for both to the bit.
@@ -14,30 +14,28 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.errors import PointError, SimulationError
-from soundspaces_sim.core.memory import free_memory
-from soundspaces_sim.core.numerics.kernel import thread_count
-from soundspaces_sim.core.profile import stage
-from soundspaces_sim.echogram.echogram import Echograms
-from soundspaces_sim.echogram.low_response import CHANNELS, response_samples
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.model import Model, PreparedScene
-from soundspaces_sim.transport.waves.lattice import make_lattice
-from soundspaces_sim.transport.waves.placing import place_points
-from soundspaces_sim.transport.waves.row_algebra import LANES
-from soundspaces_sim.transport.waves.scheme import WaveScene, make_wave_scene
-from soundspaces_sim.transport.waves.solve import solve
+from soundspaces_sim import Echograms, PointError, Scene, SimulationConfig, SimulationError
+from soundspaces_sim.parts import LOW_CHANNELS as CHANNELS
+from soundspaces_sim.parts import (
+    LowResponse,
+    Model,
+    PreparedScene,
+    free_memory,
+    response_samples,
+    thread_count,
+)
+from soundspaces_sim.parts import profile_stage as stage
+from soundspaces_waves.lattice import make_lattice
+from soundspaces_waves.placing import place_points
+from soundspaces_waves.row_algebra import LANES
+from soundspaces_waves.scheme import WaveScene, make_wave_scene
+from soundspaces_waves.simulate import simulate_low
+from soundspaces_waves.solve import solve
 
 MEMORY = 1e9  # bytes of responses that are kept in memory
 _SPARE = 2.0  # times what is written that must be free on the disk
 _SAME = 1e-3  # of the largest pressure: by which both ways may differ
 _log = logging.getLogger(__name__)
-
-
-def has_waves(config: SimulationConfig) -> bool:
-    """Whether sound below an edge is simulated as waves."""
-    return config.low.method == "waves"
 
 
 def low_edge(config: SimulationConfig) -> float:
@@ -47,8 +45,7 @@ def low_edge(config: SimulationConfig) -> float:
 
 def check_lattice(scene: Scene, config: SimulationConfig) -> None:
     """Raise `SimulationError` or `ConfigError` if waves would take too many cells, before any is made."""
-    if has_waves(config):
-        make_lattice(scene, config.c / (low_edge(config) * config.low.cells_per_wavelength))
+    make_lattice(scene, config.c / (low_edge(config) * config.low.cells_per_wavelength))
 
 
 def wave_scene(prepared: PreparedScene) -> WaveScene:
@@ -62,9 +59,8 @@ def wave_scene(prepared: PreparedScene) -> WaveScene:
 
 def check_points(model: Model, points: np.ndarray) -> None:
     """Raise `PointError` for a point that no cell sees, before anything is run."""
-    if has_waves(model.config):
-        waves = model.prepared.once(wave_scene)
-        place_points(waves.scene, waves.lattice, waves.component, points, "points")
+    waves = model.prepared.once(wave_scene)
+    place_points(waves.scene, waves.lattice, waves.component, points, "points")
 
 
 class WaveRuns:
@@ -131,6 +127,19 @@ class WaveRuns:
             return solve(
                 waves, sources, listeners, low_edge(model.config), model.duration, model.config.air
             )
+
+
+def make_runs(model: Model, points: np.ndarray | None = None, folder: Path | None = None) -> WaveRuns:
+    """The runs of a model; `points`: all of a job, which they keep."""
+    return WaveRuns(model, points, folder)
+
+
+def responses_from(
+    scene: Scene, source: np.ndarray, listeners: np.ndarray, duration: float
+) -> list[LowResponse]:
+    """Below the first band's edge, from (3,) to each of (L, 3), m."""
+    low = simulate_low(scene, source[None], listeners, duration)
+    return [low[0, i] for i in range(len(listeners))]
 
 
 @stage("waves")

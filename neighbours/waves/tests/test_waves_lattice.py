@@ -9,16 +9,16 @@ from scipy.optimize import brentq
 from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 from scipy.spatial.transform import Rotation
+from soundspaces_waves.dispersion import lattice_frequency
+from soundspaces_waves.operator import stair_share
+from soundspaces_waves.placing import place_points
+from soundspaces_waves.row_algebra import LANES
+from soundspaces_waves.scheme import WaveScene, make_wave_scene
+from soundspaces_waves.solve import Placed, _source_taps, listener_taps, simulate
+from soundspaces_waves.spectrum import pulse
+from soundspaces_waves.stepping import Taps, advance, still
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.waves.dispersion import lattice_frequency
-from soundspaces_sim.transport.waves.operator import stair_share
-from soundspaces_sim.transport.waves.placing import place_points
-from soundspaces_sim.transport.waves.row_algebra import LANES
-from soundspaces_sim.transport.waves.scheme import WaveScene, make_wave_scene
-from soundspaces_sim.transport.waves.solve import Placed, _source_taps, listener_taps, simulate
-from soundspaces_sim.transport.waves.spectrum import pulse
-from soundspaces_sim.transport.waves.stepping import Taps, advance, still
 from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, table
 

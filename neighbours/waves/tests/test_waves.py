@@ -6,13 +6,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+import soundspaces_waves as sw
 from scipy.spatial.transform import Rotation
+from soundspaces_waves.branches import fit_branch, random_incidence
 
 import soundspaces_sim as ss
 from soundspaces_sim.echogram.filters import band_windows
 from soundspaces_sim.echogram.low_measures import low_measures, octaves_below
 from soundspaces_sim.echogram.low_response import band_gain
-from soundspaces_sim.transport.waves.branches import fit_branch, random_incidence
 from tests.marks import ci_slow
 from tests.rooms import box, table
 from tests.transport.exact_box import pressure
@@ -23,14 +24,14 @@ DRY = ss.SimulationConfig(air_absorption=False)
 
 
 @cache
-def _heard(absorption: float, askew: bool) -> tuple[ss.LowResponses, np.ndarray, np.ndarray]:
+def _heard(absorption: float, askew: bool) -> tuple[sw.LowResponses, np.ndarray, np.ndarray]:
     """Responses at twelve seats; the source and the seats in the room's own axes. `askew`: it is turned about two."""
     room = ss.shoebox(SIZE, absorption=absorption)
     turn = Rotation.from_euler("xyz", (0.4, 0.25, 0.65)).as_matrix() if askew else np.eye(3)
     stands = ss.Scene(room.vertices @ turn.T, room.faces, room.face_material, room.materials)
     seats = np.random.default_rng(3).uniform(0.08, 0.92, (12, 3)) * SIZE
     source = np.array([0.27, 0.31, 0.42]) * SIZE
-    return ss.simulate_low(stands, turn @ source, seats @ turn.T, 2.4, DRY), source, seats
+    return sw.simulate_low(stands, turn @ source, seats @ turn.T, 2.4, DRY), source, seats
 
 
 @cache
@@ -155,7 +156,7 @@ def _tube(absorption: float) -> ss.Scene:
 
 
 def _at(tube: ss.Scene, **settings: float) -> tuple[np.ndarray, np.ndarray]:
-    low = ss.simulate_low(tube, [0.2, 0.2, 0.9], [0.3, 0.25, 3.1], 2.0, DRY, **settings)
+    low = sw.simulate_low(tube, [0.2, 0.2, 0.9], [0.3, 0.25, 3.1], 2.0, DRY, **settings)
     frequency, h = low.transfer(0, 0)
     kept = frequency > 20.0
     return frequency[kept], h[0, kept]
@@ -206,7 +207,7 @@ def test_a_layer_that_hangs_free_across_a_tube() -> None:
         materials,
     )
     source, near = np.array([0.2, 0.2, 0.8]), np.array([0.3, 0.2, 1.7])
-    low = ss.simulate_low(scene, source, np.array([near, [0.3, 0.2, 2 * half - 1.7]]), 2.0, DRY)
+    low = sw.simulate_low(scene, source, np.array([near, [0.3, 0.2, 2 * half - 1.7]]), 2.0, DRY)
     frequency = low.transfer(0, 0)[0]
     kept = frequency > 20.0
     found = low.transfer(0, 0)[1][0, kept] - low.transfer(0, 1)[1][0, kept]
@@ -238,7 +239,7 @@ def test_free_field_level_and_direction() -> None:
     """p = exp(-i k r) / (sqrt(4 pi) r), and -rho c u = p (1 + 1 / (i k r)) towards the source; the cube's sides are
     open, and what they send back of an oblique wave is small."""
     source, listener = np.array([0.3, -0.2, 0.1]), np.array([1.7, 1.1, -0.6])
-    low = ss.simulate_low(_open_air(4.5), source, listener, 0.12, DRY)
+    low = sw.simulate_low(_open_air(4.5), source, listener, 0.12, DRY)
     frequency, found = low.transfer(0, 0)
     band = (frequency > 60.0) & (frequency < 170.0)
     r = np.linalg.norm(source - listener)
@@ -255,8 +256,8 @@ def test_pairs_are_reciprocal_and_sources_do_not_know_of_one_another() -> None:
     """Any lanes, any threads: the same bits."""
     room = ss.shoebox((3.2, 2.7, 2.4), absorption=0.3, transmission=0.05)
     points = np.random.default_rng(1).uniform(0.1, 0.9, (9, 3)) * (3.2, 2.7, 2.4)
-    low = ss.simulate_low(room, points, points, 0.2)
-    alone = ss.simulate_low(room, points[4], points[:5], 0.2)
+    low = sw.simulate_low(room, points, points, 0.2)
+    alone = sw.simulate_low(room, points[4], points[:5], 0.2)
     np.testing.assert_array_equal(low.pressure[4, :5], alone.pressure[0])
     np.testing.assert_array_equal(low.velocity[4, :5], alone.velocity[0])
     error = np.abs(low.pressure - low.pressure.transpose(1, 0, 2)).max()

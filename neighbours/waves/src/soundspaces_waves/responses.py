@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soundspaces_sim.core.errors import PairIndexError
-from soundspaces_sim.echogram.low_response import LEAD_S, LowResponse, lead_samples
+from soundspaces_sim import PairIndexError
+from soundspaces_sim.parts import LEAD_S, LowResponse, lead_samples
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SimulationError
-from soundspaces_sim.core.memory import check_memory
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows
-from soundspaces_sim.core.numerics.vec3 import row
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray
-from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim import Scene, SimulationError
+from soundspaces_sim.parts import Geometry, cast_ray, check_memory, kernel, over_rows
+from soundspaces_sim.parts import vector_row as row
 
 AXES = 3
 _OF_CELL = 2600  # bytes of memory per cell, while a lattice and its scheme are made

@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.waves.branches import Branch, WallBranches
-from soundspaces_sim.transport.waves.lattice import AXES, DIRECTIONS, Crossings, Lattice
-from soundspaces_sim.transport.waves.operator import LEAST_EXTENT, Cut, link_area, outside
+from soundspaces_sim import Scene
+from soundspaces_waves.branches import Branch, WallBranches
+from soundspaces_waves.lattice import AXES, DIRECTIONS, Crossings, Lattice
+from soundspaces_waves.operator import LEAST_EXTENT, Cut, link_area, outside
 
 _OPENING = Branch(1.0, 0.0, 0.0)
 _PARALLEL = 0.999  # cosine from which walls are taken for parallel

@@ -6,10 +6,10 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from soundspaces_waves import lattice, spectrum
+from soundspaces_waves.scheme import make_wave_scene
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport.waves import lattice, spectrum
-from soundspaces_sim.transport.waves.scheme import make_wave_scene
 from tests.rooms import box, table, two_rooms
 
 

@@ -7,14 +7,15 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+import soundspaces_waves as sw
+from soundspaces_waves.pairs import WaveRuns
+from soundspaces_waves.solve import solve
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError, SimulationError
 from soundspaces_sim.transport.bsdf.impedance import impedance
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
-from soundspaces_sim.transport.waves.pairs import WaveRuns
-from soundspaces_sim.transport.waves.solve import solve
 from tests.rooms import box
 
 WAVES = ss.LowConfig(method="waves")
@@ -85,7 +86,7 @@ def test_energies_are_those_without_waves() -> None:
     assert without.low is None
     assert without[0, 0].low is None
     assert with_waves.low is not None
-    alone = ss.simulate_low(room, points[:2], points[2:], 0.2, config, cells_per_wavelength=8.0)
+    alone = sw.simulate_low(room, points[:2], points[2:], 0.2, config, cells_per_wavelength=8.0)
     for s, l in np.ndindex(2, 4):
         found = with_waves[s, l].low
         assert found is not None
@@ -125,7 +126,7 @@ def test_pressures_that_are_not_reciprocal_are_refused(monkeypatch: pytest.Monke
         out[0, 1] *= 1.01
         return out
 
-    monkeypatch.setattr("soundspaces_sim.transport.waves.pairs.solve", broken)
+    monkeypatch.setattr("soundspaces_waves.pairs.solve", broken)
     with pytest.raises(SimulationError, match="there and back differs"):
         simulate_pairs(model, points[:2], None)
 

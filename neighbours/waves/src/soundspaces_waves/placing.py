@@ -11,12 +11,10 @@ from itertools import product
 
 import numpy as np
 
-from soundspaces_sim.core.errors import PointError
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows
-from soundspaces_sim.core.numerics.vec3 import row
-from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.waves.lattice import AXES, Lattice
+from soundspaces_sim import PointError, Scene
+from soundspaces_sim.parts import Geometry, kernel, over_rows, unoccluded
+from soundspaces_sim.parts import vector_row as row
+from soundspaces_waves.lattice import AXES, Lattice
 
 ROWS = 1 + AXES  # pressure, and its derivatives along x, y and z
 _DEGREES = (3, 2, 1, 0)

@@ -11,16 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.memory import check_memory
-from soundspaces_sim.core.numerics.air import Air
-from soundspaces_sim.echogram.low_response import (
-    band_gain,
-    lead_samples,
-    response_rate,
-    response_samples,
-)
-from soundspaces_sim.transport.waves.dispersion import amplitude_factor, lattice_frequency
-from soundspaces_sim.transport.waves.placing import ROWS
+from soundspaces_sim.parts import Air, check_memory, lead_samples, response_rate, response_samples
+from soundspaces_sim.parts import low_band_gain as band_gain
+from soundspaces_waves.dispersion import amplitude_factor, lattice_frequency
+from soundspaces_waves.placing import ROWS
 
 _PAD_S = 0.15  # room for what the ends of the band spread over time
 _FADE_S = 0.05  # of the record's end

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import soundspaces_waves as sw
 from msgspec.structs import replace
 
 import soundspaces_sim as ss
@@ -22,14 +23,14 @@ def test_error_bars_hold_a_finer_lattice_and_other_phases() -> None:
     room = ss.shoebox(tuple(SIZE), absorption=0.2)
     rng = np.random.default_rng(4)
     sources, listeners = (rng.uniform(0.1, 0.9, (n, 3)) * SIZE for n in (2, 5))
-    found = ss.low_measures(room, sources, listeners, 1.0, CONFIG)
+    found = sw.low_measures(room, sources, listeners, 1.0, CONFIG)
     assert found.edges == octaves_below(176.0)
     assert "t20, t30, edt, c50" in repr(found)
     assert found.value["c80"].shape == (2, 5, 2)
     low = replace(CONFIG.low, cells_per_wavelength=16.0)
-    fine = ss.low_measures(room, sources, listeners, 1.0, replace(CONFIG, low=low))
+    fine = sw.low_measures(room, sources, listeners, 1.0, replace(CONFIG, low=low))
     spring = replace(CONFIG, low=replace(CONFIG.low, reactance=-0.5))
-    other = ss.low_measures(room, sources, listeners, 1.0, spring)
+    other = sw.low_measures(room, sources, listeners, 1.0, spring)
     for name in ("t20", "edt", "c80", "d50"):
         for bar, changed in ((found.discretisation, fine), (found.impedance, other)):
             moved = changed.value[name] - found.value[name]
@@ -45,10 +46,10 @@ def test_what_is_refused() -> None:
     room, ends = ss.shoebox(tuple(SIZE)), ([1.0, 1.0, 1.0], [2.0, 1.5, 1.2])
     with pytest.raises(ConfigError, match=r"at least 7\.2 for a second lattice"):
         coarse = replace(CONFIG, low=replace(CONFIG.low, cells_per_wavelength=7.0))
-        ss.low_measures(room, *ends, 0.2, coarse)
+        sw.low_measures(room, *ends, 0.2, coarse)
     with pytest.raises(ConfigError, match="edges up to 176 Hz"):
-        ss.low_measures(room, *ends, 0.2, CONFIG, edges=(50.0, 400.0))
+        sw.low_measures(room, *ends, 0.2, CONFIG, edges=(50.0, 400.0))
     with pytest.raises(ConfigError, match="no octave from 63 Hz on"):
-        ss.low_measures(room, *ends, 0.2, replace(CONFIG, low=replace(CONFIG.low, edge=60.0)))
+        sw.low_measures(room, *ends, 0.2, replace(CONFIG, low=replace(CONFIG.low, edge=60.0)))
     with pytest.raises(ss.PointError):
-        ss.low_measures(room, [9.0, 1.0, 1.0], ends[1], 0.2, CONFIG)
+        sw.low_measures(room, [9.0, 1.0, 1.0], ends[1], 0.2, CONFIG)

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.waves.dispersion import MIXED
-from soundspaces_sim.transport.waves.lattice import AXES, Crossings, Lattice, pairs_along
+from soundspaces_sim import Scene
+from soundspaces_waves.dispersion import MIXED
+from soundspaces_waves.lattice import AXES, Crossings, Lattice, pairs_along
 
 LEAST_EXTENT = 0.1  # of a cell between two walls
 _ITERATIONS = 40

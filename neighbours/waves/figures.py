@@ -1,10 +1,11 @@
-"""Figure of waves.md: `python docs/waves_figures.py` in the clone. Takes a minute of processor time."""
+"""Figure of waves.md: `python neighbours/waves/figures.py` in the clone. Takes a minute of processor time."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import soundspaces_waves as sw
 from matplotlib.figure import Figure
 
 import soundspaces_sim as ss
@@ -18,7 +19,7 @@ def main() -> None:
     scene = ss.load_scene("demo")
     listeners = ss.make_grid(scene, STEP).points
     source = listeners[len(listeners) // 3]
-    waves = ss.simulate_low(scene, source, listeners, 0.8)
+    waves = sw.simulate_low(scene, source, listeners, 0.8)
     figure = Figure(figsize=(10.0, 3.3), layout="constrained")
     axes = figure.subplots(1, 3)
     every = [waves.transfer(0, l) for l in range(len(listeners))]
