@@ -295,7 +295,7 @@ def test_bad_config_files(tmp_path: Path, text: str, message: str) -> None:
 def test_presets_load() -> None:
     folder = Path(__file__).resolve().parents[2] / "pipelines"
     presets = {path.stem: ss.load_config(path) for path in folder.glob("*.toml")}
-    assert set(presets) == {"collection", "default", "paper", "patio", "waves"}
+    assert set(presets) == {"collection", "default", "paper", "patio"}
     assert presets["default"] == ss.JobConfig()  # the file shows the defaults
     assert presets["patio"].grid.min_closedness == 0.1
     paper = presets["paper"]
