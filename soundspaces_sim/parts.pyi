@@ -110,6 +110,9 @@ from .core.numerics.air import (
     Air,
 )
 from .core.numerics.axes import (
+    CHANNELS as SECOND_ORDER_CHANNELS,
+)
+from .core.numerics.axes import (
     rotation_matrix,
     spherical_harmonics,
 )
@@ -190,14 +193,24 @@ from .core.simulation_config import (
     number_text,
     of_simulation,
 )
-from .dataset.exporters.lhotse import (
-    packed_lines,
+from .dataset.exporters.plan import (
+    ExportPlan,
+    check_headings,
+    choose_pairs,
 )
-from .dataset.exporters.lhotse import (
-    recording as lhotse_recording,
+from .dataset.exporters.plan import (
+    Progress as ExportProgress,
 )
-from .dataset.exporters.lhotse import (
-    supervision as lhotse_supervision,
+from .dataset.exporters.plan import (
+    samples_of as response_samples_of,
+)
+from .dataset.exporters.points import (
+    HABITAT_HEIGHT,
+    habitat_graph,
+    points_text,
+)
+from .dataset.exporters.wav import (
+    HEADER as WAV_HEADER,
 )
 from .dataset.exporters.wav import (
     wav_bytes,
@@ -237,6 +250,13 @@ from .dataset.format.splits import (
 )
 from .dataset.format.writing import (
     encode_echograms,
+)
+from .dataset.labels import (
+    source_direction,
+)
+from .dataset.room_parameters.registry import (
+    PARAMETERS,
+    check_parameters,
 )
 from .echogram.directed import (
     directed_table,
@@ -447,9 +467,16 @@ from .rendering.dry import (
 )
 from .rendering.harmonics import (
     harmonics_n3d,
+    n3d_gains,
+)
+from .rendering.higher_orders import (
+    check_order,
 )
 from .rendering.hrtf import (
     Hrtf,
+)
+from .rendering.soundfield import (
+    Convention,
 )
 from .rendering.soundfield import (
     convert as convert_ambisonics,
@@ -633,6 +660,7 @@ __all__ = [
     "EPISODES_FOLDER",
     "FORWARD",
     "FREE",
+    "HABITAT_HEIGHT",
     "HEADINGS",
     "INTERRUPTED",
     "INV_4PI",
@@ -654,6 +682,7 @@ __all__ = [
     "MEASURES",
     "MOST_BANDS",
     "MOST_DB",
+    "PARAMETERS",
     "PLANE_WAVES",
     "PLOT_BLUE",
     "PLOT_RED",
@@ -662,17 +691,20 @@ __all__ = [
     "RIGHT",
     "RMS_AT_1_M",
     "ROOM_CONFIG",
+    "SECOND_ORDER_CHANNELS",
     "SLACK_REWARD",
     "SPLITS",
     "STOP",
     "SUCCESS_REWARD",
     "TECHNIQUES",
+    "WAV_HEADER",
     "Agent",
     "Air",
     "BlockCache",
     "Box",
     "CollectionFailure",
     "CollectionManifest",
+    "Convention",
     "DatasetConfig",
     "EarMode",
     "EnvSetting",
@@ -680,6 +712,8 @@ __all__ = [
     "EpisodeMaker",
     "EpisodeRules",
     "EpisodeState",
+    "ExportPlan",
+    "ExportProgress",
     "FloorColumns",
     "Geometry",
     "Hrtf",
@@ -734,16 +768,20 @@ __all__ = [
     "check_ends",
     "check_entry_name",
     "check_folder",
+    "check_headings",
     "check_inside",
     "check_interrupts",
     "check_keywords",
     "check_memory",
+    "check_order",
+    "check_parameters",
     "check_picture_size",
     "check_ply",
     "check_rate",
     "check_rates",
     "check_renderer_option",
     "check_scene",
+    "choose_pairs",
     "closedness",
     "closure_error_db",
     "code_target",
@@ -779,6 +817,7 @@ __all__ = [
     "fractional_octaves",
     "free_memory",
     "group_planes",
+    "habitat_graph",
     "hand_clap",
     "harmonics_n3d",
     "has_octave",
@@ -793,8 +832,6 @@ __all__ = [
     "kernel_part",
     "lead_samples",
     "levels_of",
-    "lhotse_recording",
-    "lhotse_supervision",
     "limit_transmission",
     "load_result",
     "logit_reproducibility",
@@ -811,6 +848,7 @@ __all__ = [
     "mono",
     "mounted_layers",
     "music",
+    "n3d_gains",
     "nearest_name",
     "need_extras",
     "need_matplotlib",
@@ -830,7 +868,6 @@ __all__ = [
     "over_rows",
     "overlay_tables",
     "packaged_file",
-    "packed_lines",
     "pair_seed",
     "parse_xml",
     "place_responses",
@@ -840,6 +877,7 @@ __all__ = [
     "point_distance",
     "point_keys",
     "pointgoal_reading",
+    "points_text",
     "prepare_planes",
     "prepare_scene",
     "prepare_wedges",
@@ -862,6 +900,7 @@ __all__ = [
     "response_length",
     "response_rate",
     "response_samples",
+    "response_samples_of",
     "room_named",
     "rotation_matrix",
     "run_app",
@@ -877,6 +916,7 @@ __all__ = [
     "simulate_tile",
     "size_text",
     "sound_intensity",
+    "source_direction",
     "spherical_harmonics",
     "split_file",
     "state_info",

@@ -11,13 +11,13 @@ from soundspaces_sim.cli.console import run_app
 from soundspaces_sim.core.errors import ConfigError
 
 GROUP = "soundspaces_sim.commands"  # of entry points; each is a typer app, by the command's name
-#: Folder in neighbours/ and help of every command.
+#: Folders in neighbours/ and help of every command.
 COMMANDS = {
     "collection": (
         "collections",
         "Build datasets of many generated buildings: splits, episodes, report.",
     ),
-    "rooms": ("rooms", "Simulate many rooms: random ones for speech, or those of a list."),
+    "rooms": ("exports rooms", "Simulate many rooms: random ones for speech, or those of a list."),
     "explore": ("explorer", "Hear a scene in the browser while it is simulated, or a dataset."),
 }
 WITHOUT_OWN_OPTIONS = {
@@ -37,7 +37,6 @@ def hand_over(
     name = context.info_name or ""
     found = list(entry_points(group=GROUP, name=name))
     if not found:
-        raise ConfigError(
-            f"{name}: not installed; in a clone: .venv/bin/pip install ./neighbours/{COMMANDS[name][0]}"
-        )
+        wanted = " ".join(f"./neighbours/{folder}" for folder in COMMANDS[name][0].split())
+        raise ConfigError(f"{name}: not installed; in a clone: .venv/bin/pip install {wanted}")
     run_app(found[0].load(), [*(_arguments or []), *context.args], f"soundspaces-sim {name}")

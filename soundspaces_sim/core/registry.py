@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from soundspaces_sim.core.errors import ConfigError
 
 
 class Entry(NamedTuple):
-    """Where a kind's function lives, ``package.module:function``, and what it does, in one line."""
+    """Where a kind's function lives, ``package.module:function``, and what it does, in one line. `neighbour`: the
+    folder in neighbours/ of the distribution that has it, empty for the core's own."""
 
     target: str
     about: str
+    neighbour: str = ""
 
 
 def check_name(kind: str, table: Mapping[str, Entry], name: str) -> None:
@@ -27,9 +30,19 @@ def check_name(kind: str, table: Mapping[str, Entry], name: str) -> None:
 
 
 def find(kind: str, table: Mapping[str, Entry], name: str) -> Any:
-    """The function of that name. Raises `ConfigError` if there is none."""
+    """The function of that name. Raises `ConfigError` if there is none, or if it is not installed."""
     check_name(kind, table, name)
-    return load(table[name].target)
+    entry = table[name]
+    return of_neighbour(f"{kind} {name}", entry) if entry.neighbour else load(entry.target)
+
+
+def of_neighbour(what: str, entry: Entry) -> Any:
+    """What a distribution of its own has. Raises `ConfigError`, which says how `what` is installed."""
+    if find_spec(entry.target.partition(".")[0]) is None:
+        raise ConfigError(
+            f"{what}: not installed; in a clone: .venv/bin/pip install ./neighbours/{entry.neighbour}"
+        )
+    return load(entry.target)
 
 
 def load(target: str) -> Any:

@@ -21,9 +21,8 @@ from pathlib import Path
 
 import soundspaces_sim as ss
 from soundspaces_sim.dataset.exporters.plan import carry_out
-from soundspaces_sim.dataset.exporters.soundspaces1 import plan_soundspaces1
 from soundspaces_sim.dataset.exporters.wav import plan_wav
-from tests.attack.victims import build_whole, make_whole, read_dataset
+from tests.attack.victims import build_whole, make_whole, plan_soundspaces1, read_dataset
 
 Tree = dict[str, bytes]
 

@@ -34,7 +34,10 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
-_PATH = [str(ROOT), str(ROOT / "neighbours" / "room_programs" / "src")]
+_PATH = [
+    str(ROOT),
+    *(str(ROOT / "neighbours" / name / "src") for name in ("room_programs", "exports")),
+]
 OUTCOMES = ("own", "same", "other", "foreign", "slow", "silent")
 SLOW = 5.0  # s of CPU, of one try
 _HANGS = 30.0  # s, after which the child is ended

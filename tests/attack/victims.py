@@ -20,7 +20,7 @@ import trimesh
 import soundspaces_sim as ss
 from soundspaces_sim.build.job_file import NAME, _read, open_job
 from soundspaces_sim.dataset.exporters.plan import choose_pairs
-from soundspaces_sim.dataset.exporters.points import read_graph, read_points
+from soundspaces_sim.dataset.exporters.points import read_points
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import _ZEROS, _tail
 from soundspaces_sim.rendering.directivity import _load
@@ -34,8 +34,11 @@ from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
 from tests.scene.test_frames_and_names import _ifc
 from tests.scene.test_habitat_layouts import gibson, hm3d
 
-# The neighbour's readers are attacked with the core's, installed or not.
+# The neighbours' readers are attacked with the core's, installed or not.
 sys.path.append(str(Path(__file__).parents[2] / "neighbours" / "room_programs" / "src"))
+sys.path.append(str(Path(__file__).parents[2] / "neighbours" / "exports" / "src"))
+from soundspaces_exports.pickled import read_graph
+from soundspaces_exports.soundspaces1 import plan_soundspaces1 as plan_soundspaces1
 from soundspaces_room_programs.catt import read_catt
 from soundspaces_room_programs.gmsh import read_gmsh
 from soundspaces_room_programs.isimpa import read_project

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from importlib import import_module
 
@@ -54,3 +55,10 @@ def test_messages_name_the_setting() -> None:
         find_exporter("mp3", {})
     with pytest.raises(ss.ConfigError, match="name: layout wav has no such option"):
         find_exporter("wav", {"name": "mp3d"})
+
+
+def test_what_a_neighbour_has_is_named_with_its_install_line() -> None:
+    table = {"own": Entry("math:sqrt", ""), "other": Entry("not_installed_here.a:b", "", "exports")}
+    assert find("layout", table, "own") is math.sqrt
+    with pytest.raises(ss.ConfigError, match=r"layout other: .*pip install \./neighbours/exports"):
+        find("layout", table, "other")

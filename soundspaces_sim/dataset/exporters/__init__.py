@@ -1,7 +1,7 @@
 """Exporters: layouts in which datasets are written for others. The command line lists what is here.
 
 An exporter is a function ``(ds, out, …) -> ExportPlan``, whose other arguments are options of the layout.
-A new one is a file in this room and a line below.
+A new one is a file in this room, or in a distribution of its own, and a line below.
 """
 
 from __future__ import annotations
@@ -22,33 +22,39 @@ Export = Callable[["RirDataset", Path], "ExportPlan"]
 
 EXPORTERS: Mapping[str, Entry] = {
     "soundspaces-v1": Entry(
-        "soundspaces_sim.dataset.exporters.soundspaces1:plan_soundspaces1",
+        "soundspaces_exports.soundspaces1:plan_soundspaces1",
         "as published with SoundSpaces 1",
+        "exports",
     ),
     "sofa": Entry(
         "soundspaces_sim.dataset.exporters.sofa:plan_sofa",
         "AES69, a SingleRoomSRIR file per source or listener",
     ),
     "huggingface": Entry(
-        "soundspaces_sim.dataset.exporters.huggingface:plan_huggingface",
+        "soundspaces_exports.huggingface:plan_huggingface",
         "parquet of waveforms and labels that `datasets` loads",
+        "exports",
     ),
     "lhotse": Entry(
-        "soundspaces_sim.dataset.exporters.lhotse:plan_lhotse",
+        "soundspaces_exports.lhotse:plan_lhotse",
         "recordings and supervisions for Lhotse",
+        "exports",
     ),
     "ambisonics": Entry(
-        "soundspaces_sim.dataset.exporters.ambisonics:plan_ambisonics",
+        "soundspaces_exports.ambisonics:plan_ambisonics",
         "WAV files of order 3 to 7, 16 to 64 channels",
+        "exports",
     ),
     "iso3382": Entry(
-        "soundspaces_sim.dataset.exporters.iso3382:plan_iso3382",
+        "soundspaces_exports.iso3382:plan_iso3382",
         "impulse responses and ISO 3382-1 tables for programs that measure rooms",
+        "exports",
     ),
     "wav": Entry("soundspaces_sim.dataset.exporters.wav:plan_wav", "plain WAV files"),
     "webdataset": Entry(
-        "soundspaces_sim.dataset.exporters.webdataset:plan_webdataset",
+        "soundspaces_exports.webdataset:plan_webdataset",
         "tar files for training that streams",
+        "exports",
     ),
 }
 

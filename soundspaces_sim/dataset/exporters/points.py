@@ -1,7 +1,4 @@
-"""Points and graphs as SoundSpaces 1 publishes them: `points.txt` and `graph.pkl`.
-
-Files from strangers are data: the pickle is not unpickled, see `pickled`.
-"""
+"""Points and graphs as SoundSpaces 1 publishes them: `points.txt`; and `graph.pkl`, which a neighbour reads."""
 
 from __future__ import annotations
 
@@ -13,11 +10,14 @@ import networkx
 import numpy as np
 
 from soundspaces_sim.core.errors import PointError
-from soundspaces_sim.core.io.untrusted import read_bytes, read_text
-from soundspaces_sim.dataset.exporters.pickled import MOST_BYTES, PickleError, graph_of_pickle
+from soundspaces_sim.core.io.untrusted import read_text
+from soundspaces_sim.core.registry import Entry, of_neighbour
 
 #: Height of the camera above the floor of Habitat's agent, m: points lie so much above graph nodes.
 HABITAT_HEIGHT = {"replica": 1.5528907, "mp3d": 1.5}
+
+MOST_BYTES = 32 * 2**20  # of a file
+_GRAPHS = Entry("soundspaces_exports.pickled:graph_points", "points of a pickled graph", "exports")
 
 
 def read_points(path: str | Path) -> np.ndarray:
@@ -30,14 +30,7 @@ def read_points(path: str | Path) -> np.ndarray:
     """
     path = Path(path)
     if path.suffix == ".pkl":
-        graph = read_graph(path)
-        points = [graph.nodes[n].get("point") for n in sorted(graph.nodes)]
-        try:
-            array = np.array([(x, -z, y) for x, y, z in points], float).reshape(-1, 3)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise PointError(
-                f"{path}: nodes need an attribute `point` of three numbers ({error})"
-            ) from error
+        array = of_neighbour(f"{path}: a graph of SoundSpaces 1", _GRAPHS)(path)
     else:
         array = _parse(path, read_text(path, PointError, "list of points", MOST_BYTES))
     if len(array) == 0 or not np.isfinite(array).all():
@@ -86,15 +79,6 @@ def _is_number(field: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def read_graph(path: str | Path) -> networkx.Graph:
-    """The graph of a `graph.pkl`. Raises `PointError` for anything that is not a plain networkx graph."""
-    data = read_bytes(path, PointError, "graph", MOST_BYTES)
-    try:
-        return graph_of_pickle(data)
-    except PickleError as error:
-        raise PointError(f"{path}: not a pickled networkx graph ({error})") from error
 
 
 def points_text(points: np.ndarray) -> str:

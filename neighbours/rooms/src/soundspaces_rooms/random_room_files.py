@@ -24,6 +24,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from soundspaces_exports.lhotse import packed_lines
+from soundspaces_exports.lhotse import recording as recording
+from soundspaces_exports.lhotse import supervision as supervision
 
 from soundspaces_rooms.room_stream import RoomStream
 from soundspaces_sim import ConfigError, DatasetError, SceneError, SimulationError, __version__
@@ -32,12 +35,9 @@ from soundspaces_sim.parts import (
     create_hdf5,
     in_processes,
     make_folder,
-    packed_lines,
     read_text,
     wav_bytes,
 )
-from soundspaces_sim.parts import lhotse_recording as recording
-from soundspaces_sim.parts import lhotse_supervision as supervision
 from soundspaces_sim.parts import publish_file as publish
 from soundspaces_sim.parts import written_hdf5 as written
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from soundspaces_exports import webdataset
 
 import soundspaces_sim as ss
-from soundspaces_sim.dataset.exporters import webdataset
 from soundspaces_sim.dataset.exporters.plan import carry_out
 from soundspaces_sim.dataset.labels import source_direction
 

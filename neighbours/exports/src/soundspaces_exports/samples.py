@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.axes import CHANNELS
-from soundspaces_sim.dataset.exporters.plan import samples_of
-from soundspaces_sim.dataset.labels import source_direction
-from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim import RirDataset
+from soundspaces_sim.parts import SECOND_ORDER_CHANNELS as CHANNELS
+from soundspaces_sim.parts import response_samples_of as samples_of
+from soundspaces_sim.parts import source_direction
 
 
 class Sample(NamedTuple):

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.dataset.exporters.plan import ExportPlan, Progress, choose_pairs, samples_of
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, check_parameters
+from soundspaces_sim import ConfigError, RirDataset
+from soundspaces_sim.parts import PARAMETERS, ExportPlan, check_parameters, choose_pairs, make_folder
+from soundspaces_sim.parts import ExportProgress as Progress
+from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import response_samples_of as samples_of
 
 _NAMES = ("edt", "t20", "t30", "c50", "c80", "d50", "ts", "g", "lf", "lfc")
 #: As ISO 3382-1:2009 writes them.

@@ -1,4 +1,4 @@
-"""Graphs out of pickles, without unpickling; see `opcodes`."""
+"""Graphs out of pickles, without unpickling: a file of a stranger is data."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import math
 import pickletools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import networkx
 import numpy as np
+
+from soundspaces_sim import PointError
+from soundspaces_sim.parts import read_bytes
 
 # Pickles read without unpickling: the opcodes of a few known shapes, of which nothing is called.
 #
@@ -330,9 +334,6 @@ _OPCODES: dict[str, _Do] = {
 }
 
 
-__all__ = ["MOST_BYTES", "PickleError", "graph_of_pickle"]
-
-
 def graph_of_pickle(data: bytes) -> networkx.Graph:
     """The undirected graph that a pickle describes: integer nodes, attributes that are numbers, short lists of
     numbers, or text. Raises `PickleError`.
@@ -389,3 +390,24 @@ def _attribute(value: Any) -> Any:
     raise PickleError(
         f"attributes need to be numbers, up to {MOST_NUMBERS} numbers, or text; one is {kind_of(value)}"
     )
+
+
+def read_graph(path: str | Path) -> networkx.Graph:
+    """The graph of a `graph.pkl`. Raises `PointError` for anything that is not a plain networkx graph."""
+    data = read_bytes(path, PointError, "graph", MOST_BYTES)
+    try:
+        return graph_of_pickle(data)
+    except PickleError as error:
+        raise PointError(f"{path}: not a pickled networkx graph ({error})") from error
+
+
+def graph_points(path: str | Path) -> np.ndarray:
+    """(N, 3) m of the nodes of a `graph.pkl`, turned from Habitat's axes to Z up. Raises `PointError`."""
+    graph = read_graph(path)
+    points = [graph.nodes[n].get("point") for n in sorted(graph.nodes)]
+    try:
+        return np.array([(x, -z, y) for x, y, z in points], float).reshape(-1, 3)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PointError(
+            f"{path}: nodes need an attribute `point` of three numbers ({error})"
+        ) from error

@@ -11,13 +11,12 @@ from pathlib import Path
 import networkx
 import numpy as np
 import pytest
+from soundspaces_exports.pickled import MOST_BYTES, read_graph
 
 import soundspaces_sim as ss
-from soundspaces_sim.dataset.exporters.pickled import MOST_BYTES
-from soundspaces_sim.dataset.exporters.points import read_graph
 from tests.marks import ci_slow
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def _graph(kind: str = "float") -> networkx.Graph:
@@ -126,7 +125,7 @@ def test_everything_else_is_one_error(tmp_path: Path, name: str) -> None:
 _LIMITED = """
 import resource, sys
 from soundspaces_sim import PointError
-from soundspaces_sim.dataset.exporters.points import read_graph
+from soundspaces_exports.pickled import read_graph
 held = int(open("/proc/self/statm").read().split()[0]) * 4096
 resource.setrlimit(resource.RLIMIT_AS, (held + 2**30, held + 2**30))
 resource.setrlimit(resource.RLIMIT_CPU, (30, 30))

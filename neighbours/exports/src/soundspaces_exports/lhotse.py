@@ -13,21 +13,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.dataset.exporters.plan import (
-    ExportPlan,
-    Progress,
-    check_headings,
-    choose_pairs,
-)
-from soundspaces_sim.dataset.exporters.samples import (
-    label_rows,
-    labelled,
-    sample_bytes,
-    samples_of_pairs,
-)
-from soundspaces_sim.dataset.exporters.wav import HEADER, wav_bytes
-from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_exports.samples import label_rows, labelled, sample_bytes, samples_of_pairs
+from soundspaces_sim import RirDataset
+from soundspaces_sim.parts import WAV_HEADER as HEADER
+from soundspaces_sim.parts import ExportPlan, check_headings, choose_pairs, make_folder, wav_bytes
+from soundspaces_sim.parts import ExportProgress as Progress
+from soundspaces_sim.parts import publish_file as publish
 
 _MANIFEST_BYTES = 400  # of a sample, packed, about
 

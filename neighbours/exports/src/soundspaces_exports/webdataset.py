@@ -17,14 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.dataset.exporters.plan import (
-    ExportPlan,
-    Progress,
-    check_headings,
-    choose_pairs,
-)
-from soundspaces_sim.dataset.exporters.samples import (
+from soundspaces_exports.samples import (
     Sample,
     label_rows,
     labelled,
@@ -32,7 +25,10 @@ from soundspaces_sim.dataset.exporters.samples import (
     samples_of_pairs,
     shuffled_files,
 )
-from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim import RirDataset
+from soundspaces_sim.parts import ExportPlan, check_headings, choose_pairs, make_folder
+from soundspaces_sim.parts import ExportProgress as Progress
+from soundspaces_sim.parts import publish_file as publish
 
 SHARD_BYTES = 64e6  # of a tar file, about
 _HEAD_BYTES = 3 * 512 + 1024  # of a sample: tar headers, padding, labels

@@ -16,16 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.dataset.exporters.plan import (
-    ExportPlan,
-    Progress,
-    check_headings,
-    choose_pairs,
-)
-from soundspaces_sim.dataset.exporters.samples import (
+from soundspaces_exports.samples import (
     Sample,
     label_rows,
     labelled,
@@ -33,8 +24,18 @@ from soundspaces_sim.dataset.exporters.samples import (
     samples_of_pairs,
     shuffled_files,
 )
-from soundspaces_sim.dataset.exporters.wav import HEADER, wav_bytes
-from soundspaces_sim.dataset.reader import RirDataset
+from soundspaces_sim import ConfigError, RirDataset
+from soundspaces_sim.parts import WAV_HEADER as HEADER
+from soundspaces_sim.parts import (
+    ExportPlan,
+    check_headings,
+    choose_pairs,
+    install_hint,
+    make_folder,
+    wav_bytes,
+)
+from soundspaces_sim.parts import ExportProgress as Progress
+from soundspaces_sim.parts import publish_file as publish
 
 FILE_BYTES = 256e6  # of a Parquet file, about
 _LABEL_BYTES = 512.0  # of a row, about

@@ -12,13 +12,19 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.dataset.exporters.plan import ExportPlan, Progress, choose_pairs, samples_of
-from soundspaces_sim.dataset.exporters.wav import HEADER, wav_bytes
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.rendering.harmonics import n3d_gains
-from soundspaces_sim.rendering.higher_orders import check_order
+from soundspaces_sim import ConfigError, RirDataset
+from soundspaces_sim.parts import WAV_HEADER as HEADER
+from soundspaces_sim.parts import (
+    ExportPlan,
+    check_order,
+    choose_pairs,
+    make_folder,
+    n3d_gains,
+    wav_bytes,
+)
+from soundspaces_sim.parts import ExportProgress as Progress
+from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import response_samples_of as samples_of
 
 Normalisation = Literal["sn3d", "n3d"]
 

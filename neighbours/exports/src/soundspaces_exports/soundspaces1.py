@@ -15,20 +15,24 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.numerics.axes import CHANNELS
-from soundspaces_sim.dataset.exporters.plan import (
+from soundspaces_sim import ConfigError, RirDataset
+from soundspaces_sim.parts import (
+    HABITAT_HEIGHT,
+    Convention,
     ExportPlan,
-    Progress,
     check_headings,
     choose_pairs,
-    samples_of,
+    habitat_graph,
+    make_folder,
+    points_text,
+    wav_bytes,
 )
-from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT, habitat_graph, points_text
-from soundspaces_sim.dataset.exporters.wav import HEADER, wav_bytes
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.rendering.soundfield import Convention, convert
+from soundspaces_sim.parts import SECOND_ORDER_CHANNELS as CHANNELS
+from soundspaces_sim.parts import WAV_HEADER as HEADER
+from soundspaces_sim.parts import ExportProgress as Progress
+from soundspaces_sim.parts import convert_ambisonics as convert
+from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import response_samples_of as samples_of
 
 _log = logging.getLogger(__name__)
 ONSET = 256

@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import soundfile
+from soundspaces_exports.huggingface import plan_huggingface
+from soundspaces_exports.lhotse import plan_lhotse
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.dataset.exporters.huggingface import plan_huggingface
-from soundspaces_sim.dataset.exporters.lhotse import plan_lhotse
 from soundspaces_sim.dataset.exporters.plan import carry_out
 
 
@@ -26,7 +26,7 @@ def test_parquet_has_waveforms_labels_and_the_features_that_datasets_reads(
     ds = ss.open_dataset(dataset_folder)
     pairs = tmp_path / "pairs.txt"
     pairs.write_text("0 1\n1 2\n2 2\n")
-    monkeypatch.setattr("soundspaces_sim.dataset.exporters.huggingface.FILE_BYTES", 2e5)
+    monkeypatch.setattr("soundspaces_exports.huggingface.FILE_BYTES", 2e5)
     plan = plan_huggingface(ds, tmp_path / "out", (0.0, 90.0), True, pairs)
     assert carry_out(plan) == plan.files > 2
     folder = tmp_path / "out" / ds.scene
