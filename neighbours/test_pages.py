@@ -13,6 +13,7 @@ from tests.marks import ci_slow
 from tests.test_readme import PLAIN, blocks_of, quick, run_block, run_notebook
 from tests.test_readme import demo as demo
 from tests.test_readme import few_walks as few_walks
+from tests.test_readme import walls as walls
 
 HERE = Path(__file__).resolve().parent
 #: Every block of Python of the pages: page and number.
@@ -38,7 +39,8 @@ def test_a_page_runs(
     page: str, number: int, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code = blocks_of(HERE / page)[number]
-    monkeypatch.chdir(request.getfixturevalue("waves" if "out/waves" in code else "demo"))
+    wanted = next((name for name in ("waves", "walls") if f"out/{name}" in code), "demo")
+    monkeypatch.chdir(request.getfixturevalue(wanted))
     if page.startswith("rlr_"):  # an example is for users of habitat-sim
         trimesh.creation.box(bounds=[[-1.0, 0.0, -5.0], [6.0, 2.7, 1.0]]).export("apartment.glb")
         if importlib.util.find_spec("habitat_sim") is None:

@@ -113,6 +113,9 @@ from .core.numerics.axes import (
     CHANNELS as SECOND_ORDER_CHANNELS,
 )
 from .core.numerics.axes import (
+    check_degrees,
+    head_matrix,
+    rotation_matrices,
     rotation_matrix,
     spherical_harmonics,
 )
@@ -146,6 +149,9 @@ from .core.numerics.rows import (
 )
 from .core.numerics.target import (
     code_target,
+)
+from .core.numerics.threads import (
+    share_out,
 )
 from .core.numerics.vec3 import (
     Vec3,
@@ -231,6 +237,9 @@ from .dataset.format.collection_manifest import (
 from .dataset.format.collection_manifest import (
     collected as collected_dataset,
 )
+from .dataset.format.echogram_shard import (
+    EchogramShard,
+)
 from .dataset.format.floorplan import (
     read_floorplan,
 )
@@ -239,6 +248,12 @@ from .dataset.format.manifest import (
 )
 from .dataset.format.manifest import (
     read_manifest,
+)
+from .dataset.format.shard import (
+    FAILED as FAILED_PAIR,
+)
+from .dataset.format.shard import (
+    Shard,
 )
 from .dataset.format.shard import (
     is_valid as is_valid_shard,
@@ -258,8 +273,22 @@ from .dataset.room_parameters.registry import (
     PARAMETERS,
     check_parameters,
 )
+from .dataset.sampling import (
+    as_pairs,
+    check_pairs,
+    pairs_of_two,
+)
+from .dataset.sampling import (
+    for_each as for_each_pair,
+)
+from .echogram.closure import (
+    MOST_GAIN,
+)
 from .echogram.directed import (
     directed_table,
+)
+from .echogram.displaced import (
+    displaced,
 )
 from .echogram.echogram import (
     EDGE as KIND_EDGE,
@@ -278,12 +307,19 @@ from .echogram.echogram import (
     without_arrivals,
 )
 from .echogram.filters import (
+    FLOOR as FILTER_FLOOR,
+)
+from .echogram.filters import (
     air_left,
     air_spectrum,
     arrival_filters,
     band_shares,
     band_windows,
+    left_after,
+    log_steps,
     minimum_phase,
+    sinc_table,
+    white_noise,
 )
 from .echogram.low_measures import (
     LOW_MEASURES,
@@ -304,6 +340,9 @@ from .echogram.low_response import (
 )
 from .echogram.low_response import (
     band_gain as low_band_gain,
+)
+from .echogram.low_response import (
+    sphere as direction_grid,
 )
 from .echogram.material_spread import (
     logit_reproducibility,
@@ -331,11 +370,15 @@ from .echogram.measures import (
     levels_of,
 )
 from .echogram.reflection_counts import (
+    MOST_RATIO,
     MaterialGroups,
+    between_windows,
 )
 from .echogram.refurnish import (
     MOST_DB,
+    Materials,
     closure_error_db,
+    window_strength,
 )
 from .layout.records import (
     storeys_of,
@@ -452,11 +495,22 @@ from .nav.views import (
 from .nav.views import (
     shrink as shrink_views,
 )
+from .rendering.air import (
+    hop_and_ring,
+    hop_filters,
+)
 from .rendering.ambisonics import (
+    band_plans,
     pair_seed,
     response_length,
+    transform_size,
+)
+from .rendering.binaural import (
+    decoder_transform,
 )
 from .rendering.decoder import (
+    Equalisation,
+    Method,
     decoder_filters,
     direction_filters,
 )
@@ -465,15 +519,48 @@ from .rendering.dry import (
     music,
     syllables,
 )
+from .rendering.ears import (
+    NEAR_M,
+    as_ears,
+    near_field_gains,
+)
 from .rendering.harmonics import (
     harmonics_n3d,
+    harmonics_sn3d,
     n3d_gains,
+)
+from .rendering.higher_orders import (
+    WAVES as HIGH_ORDER_WAVES,
 )
 from .rendering.higher_orders import (
     check_order,
 )
 from .rendering.hrtf import (
     Hrtf,
+)
+from .rendering.low_band import (
+    at_microphones as waves_at_microphones,
+)
+from .rendering.low_band import (
+    below as waves_below,
+)
+from .rendering.low_band import (
+    gain_above,
+)
+from .rendering.seed_paper import (
+    band_noise,
+)
+from .rendering.smooth import (
+    LANES as SMOOTH_LANES,
+)
+from .rendering.smooth import (
+    continued as continued_decay,
+)
+from .rendering.smooth import (
+    energies as smooth_energies,
+)
+from .rendering.smooth import (
+    step_plans,
 )
 from .rendering.soundfield import (
     Convention,
@@ -482,13 +569,26 @@ from .rendering.soundfield import (
     convert as convert_ambisonics,
 )
 from .rendering.synthesis import (
+    cut_frames,
+    join_frames,
+    make_scratch,
+)
+from .rendering.synthesis import (
+    modulate as modulate_noise,
+)
+from .rendering.synthesis import (
     place as place_responses,
+)
+from .rendering.waves import (
+    LANES as WAVE_LANES,
 )
 from .rendering.waves import (
     WAVES as PLANE_WAVES,
 )
 from .rendering.waves import (
     WaveField,
+    shared_energy,
+    turned_lattice,
 )
 from .scene.enclosure import (
     check_ends,
@@ -658,10 +758,13 @@ __all__ = [
     "DIRECT_SOUND",
     "ENGINES",
     "EPISODES_FOLDER",
+    "FAILED_PAIR",
+    "FILTER_FLOOR",
     "FORWARD",
     "FREE",
     "HABITAT_HEIGHT",
     "HEADINGS",
+    "HIGH_ORDER_WAVES",
     "INTERRUPTED",
     "INV_4PI",
     "KIND_EDGE",
@@ -682,6 +785,9 @@ __all__ = [
     "MEASURES",
     "MOST_BANDS",
     "MOST_DB",
+    "MOST_GAIN",
+    "MOST_RATIO",
+    "NEAR_M",
     "PARAMETERS",
     "PLANE_WAVES",
     "PLOT_BLUE",
@@ -693,10 +799,12 @@ __all__ = [
     "ROOM_CONFIG",
     "SECOND_ORDER_CHANNELS",
     "SLACK_REWARD",
+    "SMOOTH_LANES",
     "SPLITS",
     "STOP",
     "SUCCESS_REWARD",
     "TECHNIQUES",
+    "WAVE_LANES",
     "WAV_HEADER",
     "Agent",
     "Air",
@@ -707,11 +815,13 @@ __all__ = [
     "Convention",
     "DatasetConfig",
     "EarMode",
+    "EchogramShard",
     "EnvSetting",
     "EpisodeError",
     "EpisodeMaker",
     "EpisodeRules",
     "EpisodeState",
+    "Equalisation",
     "ExportPlan",
     "ExportProgress",
     "FloorColumns",
@@ -724,7 +834,9 @@ __all__ = [
     "LowResponse",
     "MapPage",
     "MaterialGroups",
+    "Materials",
     "Meter",
+    "Method",
     "Model",
     "Observation",
     "PlyElements",
@@ -736,6 +848,7 @@ __all__ = [
     "ReplaceOption",
     "SceneFormat",
     "SensorSuite",
+    "Shard",
     "SimulatedPaths",
     "SpecularPlanes",
     "TableEntry",
@@ -750,20 +863,26 @@ __all__ = [
     "air_spectrum",
     "air_transmission",
     "arrival_filters",
+    "as_ears",
+    "as_pairs",
     "as_points",
     "as_sensors",
     "at_points",
     "attribute",
     "band_energies",
     "band_means",
+    "band_noise",
+    "band_plans",
     "band_shares",
     "band_windows",
     "beside_edge",
+    "between_windows",
     "boxes_mesh",
     "building_of",
     "building_rooms",
     "cast_ray",
     "center_frequencies",
+    "check_degrees",
     "check_edges",
     "check_ends",
     "check_entry_name",
@@ -774,6 +893,7 @@ __all__ = [
     "check_keywords",
     "check_memory",
     "check_order",
+    "check_pairs",
     "check_parameters",
     "check_picture_size",
     "check_ply",
@@ -788,16 +908,21 @@ __all__ = [
     "collected_dataset",
     "combine_keys",
     "compile_ahead",
+    "continued_decay",
     "convert_ambisonics",
     "core_count",
     "create_hdf5",
+    "cut_frames",
     "data_delay",
     "decay_curve",
     "decoder_filters",
+    "decoder_transform",
     "delayed",
     "direct_arrival",
     "directed_table",
     "direction_filters",
+    "direction_grid",
+    "displaced",
     "dot_product",
     "draw_trail",
     "drawn_size",
@@ -813,42 +938,54 @@ __all__ = [
     "first_loud",
     "floor_heights",
     "flow_resistance",
+    "for_each_pair",
     "forecast",
     "fractional_octaves",
     "free_memory",
+    "gain_above",
     "group_planes",
     "habitat_graph",
     "hand_clap",
     "harmonics_n3d",
+    "harmonics_sn3d",
     "has_octave",
+    "head_matrix",
     "heading_index",
+    "hop_and_ring",
+    "hop_filters",
     "image_of",
     "in_our_words",
     "in_processes",
     "inside_polygon",
     "install_hint",
     "is_valid_shard",
+    "join_frames",
     "kernel",
     "kernel_part",
     "lead_samples",
+    "left_after",
     "levels_of",
     "limit_transmission",
     "load_result",
+    "log_steps",
     "logit_reproducibility",
     "logits",
     "low_band_gain",
     "low_levels",
     "low_measures",
     "make_folder",
+    "make_scratch",
     "measure_jacobian",
     "merge_results",
     "minimum_phase",
     "mirror_bounce",
     "model_between",
+    "modulate_noise",
     "mono",
     "mounted_layers",
     "music",
     "n3d_gains",
+    "near_field_gains",
     "nearest_name",
     "need_extras",
     "need_matplotlib",
@@ -869,6 +1006,7 @@ __all__ = [
     "overlay_tables",
     "packaged_file",
     "pair_seed",
+    "pairs_of_two",
     "parse_xml",
     "place_responses",
     "plain_dataset",
@@ -902,6 +1040,7 @@ __all__ = [
     "response_samples",
     "response_samples_of",
     "room_named",
+    "rotation_matrices",
     "rotation_matrix",
     "run_app",
     "scene_of_dataset",
@@ -909,17 +1048,22 @@ __all__ = [
     "section",
     "sensor_box",
     "set_thread_count",
+    "share_out",
+    "shared_energy",
     "shares",
     "shrink_views",
     "simulate_between",
     "simulate_pairs",
     "simulate_tile",
+    "sinc_table",
     "size_text",
+    "smooth_energies",
     "sound_intensity",
     "source_direction",
     "spherical_harmonics",
     "split_file",
     "state_info",
+    "step_plans",
     "storeys_of",
     "subtract_vectors",
     "surface_impedance",
@@ -927,6 +1071,8 @@ __all__ = [
     "synthesise",
     "takes_scene",
     "thread_count",
+    "transform_size",
+    "turned_lattice",
     "unique_rows",
     "unoccluded",
     "unpacked_archive",
@@ -937,6 +1083,10 @@ __all__ = [
     "walk_straight",
     "wanted_episode",
     "wav_bytes",
+    "waves_at_microphones",
+    "waves_below",
+    "white_noise",
+    "window_strength",
     "with_notes",
     "without_arrivals",
     "worker_pool",

@@ -1,4 +1,5 @@
-"""For PyTorch (extra ``torch``): responses on a device, datasets for loaders, reverberation as a module.
+"""For PyTorch (extra ``torch``): datasets for loaders; and by neighbours/torch responses on a device, and
+reverberation as a module.
 
     import soundspaces_sim as ss
     import soundspaces_sim.torch
@@ -10,18 +11,22 @@ Names are loaded when they are first used.
 
 from __future__ import annotations
 
-from importlib import import_module
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
+
+from soundspaces_sim.core.registry import Entry, find
 
 if TYPE_CHECKING:
     from soundspaces_sim.dataset.torch_dataset import TorchRirDataset as TorchRirDataset
-    from soundspaces_sim.dataset.torch_renderer import Renderer as Renderer
-    from soundspaces_sim.dataset.torch_reverberate import Reverberate as Reverberate
 
-_WHERE = {
-    "Renderer": "soundspaces_sim.dataset.torch_renderer",
-    "Reverberate": "soundspaces_sim.dataset.torch_reverberate",
-    "TorchRirDataset": "soundspaces_sim.dataset.torch_dataset",
+_WHERE: Mapping[str, Entry] = {
+    "Renderer": Entry("soundspaces_torch.renderer:Renderer", "responses on a device", "torch"),
+    "Reverberate": Entry(
+        "soundspaces_torch.reverberate:Reverberate", "reverberation as a module", "torch"
+    ),
+    "TorchRirDataset": Entry(
+        "soundspaces_sim.dataset.torch_dataset:TorchRirDataset", "a dataset for loaders"
+    ),
 }
 __all__ = list(_WHERE)
 
@@ -29,7 +34,7 @@ __all__ = list(_WHERE)
 def __getattr__(name: str) -> Any:
     if name not in _WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_WHERE[name]), name)
+    return find("soundspaces_sim.torch", _WHERE, name)
 
 
 def __dir__() -> list[str]:

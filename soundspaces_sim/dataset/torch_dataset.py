@@ -10,17 +10,18 @@ import torch
 from torch.utils.data import Dataset
 
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.registry import Entry, of_neighbour
 from soundspaces_sim.dataset.collection import RirCollection
 from soundspaces_sim.dataset.labels import pair_labels, source_direction
 from soundspaces_sim.dataset.random_materials import RandomMaterials
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.dataset.sampling import as_pairs, check_pairs, pairs_of_two
-from soundspaces_sim.dataset.torch_renderer import Renderer
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import room_measures
 
 Item = dict[str, Any]
+_RENDERER = Entry("soundspaces_torch.renderer:Renderer", "responses on a device", "torch")
 _STREAM = 1  # keeps draws of materials apart from those of headings
 
 
@@ -46,9 +47,10 @@ class TorchRirDataset(Dataset[Item]):
     where a scene has fewer groups than another; responses, measures and errors of energies are those of the draw,
     and standard errors of measures are left out.
 
-    `device`: where responses are rendered, by a `Renderer` for each scene; ``rir`` lies there. Echograms are kept
-    there, if they take at most `cache_mb` MB in all. A `DataLoader` without workers asks for whole batches, which
-    are rendered at once; workers cannot use a device other than ``cpu``. None: by the NumPy reader, in workers too.
+    `device`: where responses are rendered, by a `Renderer` for each scene, which neighbours/torch has; ``rir`` lies
+    there. Echograms are kept there, if they take at most `cache_mb` MB in all. A `DataLoader` without workers asks
+    for whole batches, which are rendered at once; workers cannot use a device other than ``cpu``. None: by the
+    NumPy reader, in workers too.
 
     Raises `ConfigError`, `PairIndexError`; `DatasetError` and `MaterialError` where `materials` cannot be drawn.
     """
@@ -85,10 +87,10 @@ class TorchRirDataset(Dataset[Item]):
         self.materials, self._groups = materials, 0
         if materials is not None:
             self._prepare_materials()
-        self._renderers: dict[str, Renderer] | None = None
+        self._renderers: dict[str, Any] | None = None
         if device is not None:
-            share = cache_mb / len(self._scenes)
-            self._renderers = {n: Renderer(ds, device, cache_mb=share) for n, ds in self._scenes.items()}
+            make, share = of_neighbour("device", _RENDERER), cache_mb / len(self._scenes)
+            self._renderers = {n: make(ds, device, cache_mb=share) for n, ds in self._scenes.items()}
         # In shared memory, so that a new epoch also reaches workers that stay from one to the next.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
 

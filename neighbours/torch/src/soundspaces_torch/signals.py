@@ -21,16 +21,39 @@ import scipy.fft
 import torch
 from torch import Tensor
 
-from soundspaces_sim.core.numerics.air import Air
-from soundspaces_sim.core.numerics.axes import CHANNELS, head_matrix, rotation_matrices
-from soundspaces_sim.echogram import filters
-from soundspaces_sim.rendering import air as air_within_bands
-from soundspaces_sim.rendering import low_band, seed_paper, smooth
-from soundspaces_sim.rendering.ambisonics import band_plans, transform_size
-from soundspaces_sim.rendering.binaural import decoder_transform
-from soundspaces_sim.rendering.decoder import Equalisation, Method
-from soundspaces_sim.rendering.harmonics import harmonics_sn3d
-from soundspaces_sim.rendering.synthesis import cut_frames, join_frames, make_scratch, modulate, place
+from soundspaces_sim.parts import FILTER_FLOOR as FILTER_FLOOR
+from soundspaces_sim.parts import SECOND_ORDER_CHANNELS as CHANNELS
+from soundspaces_sim.parts import SMOOTH_LANES as SMOOTH_LANES
+from soundspaces_sim.parts import WAVE_LANES as WAVE_LANES
+from soundspaces_sim.parts import (
+    Air,
+    Equalisation,
+    Method,
+    air_left,
+    air_spectrum,
+    band_noise,
+    band_plans,
+    cut_frames,
+    decoder_transform,
+    gain_above,
+    harmonics_sn3d,
+    head_matrix,
+    hop_and_ring,
+    hop_filters,
+    join_frames,
+    left_after,
+    log_steps,
+    make_scratch,
+    rotation_matrices,
+    sinc_table,
+    step_plans,
+    transform_size,
+    white_noise,
+)
+from soundspaces_sim.parts import continued_decay as continued_decay
+from soundspaces_sim.parts import modulate_noise as modulate
+from soundspaces_sim.parts import place_responses as place
+from soundspaces_sim.parts import smooth_energies as smooth_energies
 
 _LEAST_VARIANCE = 1e-6  # as `synthesis`
 _MOST = 1e37  # that air takes: beyond it single precision holds no energy
@@ -96,7 +119,7 @@ def pair_seeds(seed: int, pairs: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=4)
 def _noise_table(device: torch.device, more: int) -> Tensor:
     """The table of white noise with its first `more` samples again behind it."""
-    table = filters.white_noise()
+    table = white_noise()
     return torch.from_numpy(np.concatenate([table, np.resize(table, more)])).to(device)
 
 
@@ -104,7 +127,7 @@ def _noise(starts: np.ndarray, n: int, device: torch.device) -> Tensor:
     """(…, n) samples of the table from `starts` (…) on."""
     more = 1 << max(n - 1, 1).bit_length()
     rows = _noise_table(device, more).unfold(0, n, 1)
-    flat = torch.from_numpy((starts.ravel() % len(filters.white_noise())).astype(np.int64)).to(device)
+    flat = torch.from_numpy((starts.ravel() % len(white_noise())).astype(np.int64)).to(device)
     return rows.index_select(0, flat).reshape(*starts.shape, n)
 
 
@@ -199,7 +222,7 @@ def _modulated(energy: Tensor, course: Course, dt: float, n: int, start: np.ndar
         return _modulated_by_kernel(energy, course, dt, n, start)
     e, row = _sample_energies(energy, course, dt, n)
     gain = _gains(e).index_select(-1, row)
-    lane = len(filters.white_noise()) // CHANNELS
+    lane = len(white_noise()) // CHANNELS
     noise = _noise(start[:, None] + lane * np.arange(CHANNELS), n, course.device)
     out = gain[:, :9] * noise[:, :1]
     out[:, 1:4] += gain[:, 9:12] * noise[:, 1:2]
@@ -217,7 +240,7 @@ def _by_kernels(given: Tensor) -> bool:
 def _modulated_by_kernel(energy: Tensor, course: Course, dt: float, n: int, start: np.ndarray) -> Tensor:
     out = torch.empty(len(energy), CHANNELS, n)
     samples, table = out.numpy(), np.ascontiguousarray(energy.detach().numpy().transpose(0, 2, 1))
-    noise = filters.white_noise()
+    noise = white_noise()
     edges, lane, scratch = np.asarray(course.time_edges, float), len(noise) // CHANNELS, make_scratch()
     for k in range(len(samples)):
         modulate(samples[k], table[k], edges, dt, noise, int(start[k]), lane, scratch)
@@ -246,7 +269,7 @@ def _places(
 
     if kind == "smooth":
         size = transform_size(n, rate)
-        rows = smooth.step_plans(bands, rate, size)
+        rows = step_plans(bands, rate, size)
         return size, tuple(_Place(p[2], 0, p[0], p[1], on_device(p[3])) for p in rows)
     size, plans = band_plans(bands, rate, n)
     return size, tuple(_Place(p.step, p.first, p.first, p.last, on_device(p.gain)) for p in plans)
@@ -263,12 +286,12 @@ def reverberation(energy: Tensor, course: Course, seeds: np.ndarray, kind: str =
     """(k, 9, n) of energies without air (k, B, 9, bins), or of the steps of ``smooth``, through the air, without
     discrete arrivals."""
     size, places = _places(kind, course.bands, course.rate, course.n, course.device)
-    lanes = combined_keys(seeds, smooth.LANES if kind == "smooth" else 1)
+    lanes = combined_keys(seeds, SMOOTH_LANES if kind == "smooth" else 1)
     spectrum = torch.zeros(
         len(energy), CHANNELS, size // 2 + 1, dtype=torch.complex64, device=course.device
     )
     for b, at in enumerate(places):
-        start = combined_keys(lanes, b) % np.uint64(len(filters.white_noise()))
+        start = combined_keys(lanes, b) % np.uint64(len(white_noise()))
         dt, count = at.step / course.rate, size // at.step
         made = torch.fft.rfft(_modulated(energy[:, b], course, dt, count, start.astype(np.int64)))
         bins = made[..., at.of : at.of + at.last - at.first]
@@ -278,13 +301,13 @@ def reverberation(energy: Tensor, course: Course, seeds: np.ndarray, kind: str =
 
 def step_energies(energy: np.ndarray, course: Course) -> np.ndarray:
     """(k, K, 9, bins) energies of the steps of ``smooth``, of energies (k, B, 9, bins) without air."""
-    tables = (smooth.continued(e.transpose(2, 1, 0), course.time_edges) for e in energy)
-    return np.stack([smooth.energies(t, course.bands).transpose(0, 2, 1) for t in tables])
+    tables = (continued_decay(e.transpose(2, 1, 0), course.time_edges) for e in energy)
+    return np.stack([smooth_energies(t, course.bands).transpose(0, 2, 1) for t in tables])
 
 
 def paper_reverberation(energy: Tensor, course: Course, seeds: np.ndarray) -> Tensor:
     """(k, 9, n) as `seed_paper.paper_rir` makes it, without discrete arrivals."""
-    noise = seed_paper.band_noise(course.bands, course.rate)
+    noise = band_noise(course.bands, course.rate)
     e, row = _sample_energies(energy[:, : len(noise)].flatten(0, 1), course, 1.0 / course.rate, course.n)
     e = e.index_select(-1, row).reshape(len(energy), len(noise), CHANNELS, course.n)
     length = noise.shape[1]
@@ -303,7 +326,7 @@ def without_air(energy: Tensor, course: Course) -> Tensor:
     if course.air is None:
         return energy
     edges = course.time_edges
-    left = filters.air_left(course.air, course.bands, 0.5 * (edges[1:] + edges[:-1])).T
+    left = air_left(course.air, course.bands, 0.5 * (edges[1:] + edges[:-1])).T
     # divided as there, to the bit: moments of one direction leave rounding errors alone for the other noises
     some = course.tensor(np.where(left > 0.0, np.maximum(left, 1.0 / _MOST), np.inf))[:, None]
     return (energy.to(some.dtype) / some).float()
@@ -321,10 +344,10 @@ class _AirTables(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _air_tables(air: Air, rate: int, n: int, device: torch.device) -> _AirTables:
-    hop, ring = air_within_bands.hop_and_ring(rate)
+    hop, ring = hop_and_ring(rate)
     window = np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)) ** 2
     size = int(scipy.fft.next_fast_len(2 * hop + 2 * ring, real=True))
-    gains = np.repeat(air_within_bands.hop_filters(air, rate, hop, -(-n // hop) + 1, size), 2, axis=1)
+    gains = np.repeat(hop_filters(air, rate, hop, -(-n // hop) + 1, size), 2, axis=1)
     found = (torch.from_numpy(x).to(device) for x in (window.astype(np.float32), gains))
     return _AirTables(hop, ring, size, *found)
 
@@ -401,13 +424,13 @@ class _ArrivalTables(NamedTuple):
 def _arrival_tables(
     bands: tuple[float, ...], rate: int, air: Air | None, metres: int, device: torch.device
 ) -> _ArrivalTables:
-    steps, n = filters.log_steps(bands, rate)
+    steps, n = log_steps(bands, rate)
     fade = n // 8
     fall = np.cos(0.5 * np.pi * np.arange(1, fade + 1, dtype=np.float32) / fade) ** 2
     found = [
-        steps, filters.sinc_table(bands, rate).astype(np.float32),
-        None if air is None else filters.air_spectrum(air, rate, n),
-        None if air is None else filters.left_after(air, bands, metres).astype(np.float32),
+        steps, sinc_table(bands, rate).astype(np.float32),
+        None if air is None else air_spectrum(air, rate, n),
+        None if air is None else left_after(air, bands, metres).astype(np.float32),
         np.concatenate([np.ones(n - fade, np.float32), fall]),
     ]  # fmt: skip
     made = [None if x is None else torch.from_numpy(np.array(x)).to(device) for x in found]
@@ -430,7 +453,7 @@ def arrival_filters(energy: Tensor, delay: Tensor, course: Course) -> tuple[Tens
         lost = -((1.0 - u) * tables.left[metre] + u * tables.left[metre + 1])
         energy = energy * torch.exp(lost.clamp(max=math.log(_MOST)))
     gains = _root(energy[..., : len(tables.steps) + 1])
-    floor = filters.FLOOR * gains.amax(-1, keepdim=True).detach()
+    floor = FILTER_FLOOR * gains.amax(-1, keepdim=True).detach()
     level = torch.log(torch.maximum(gains, torch.clamp(floor, min=1e-30)))
     rises = level.diff(dim=-1)
     real = level[..., :1] + rises @ tables.steps.real
@@ -489,7 +512,7 @@ def with_arrivals(batch: EchogramBatch, course: Course, onto: Tensor) -> Tensor:
 
 def above(signal: Tensor, edge: float, course: Course, of_arrivals: bool) -> Tensor:
     """`low_band.above` of signals (k, c, n)."""
-    size, gain = low_band.gain_above(signal.shape[-1], course.rate, edge, of_arrivals)
+    size, gain = gain_above(signal.shape[-1], course.rate, edge, of_arrivals)
     spectrum = torch.fft.rfft(signal, size) * course.tensor(gain)
     return torch.fft.irfft(spectrum, size)[..., : signal.shape[-1]]
 
@@ -517,10 +540,9 @@ def plane_waves(
 
     `weights(i)`: (R, K) or (R, b, K) of the waves of response i.
     """
-    from soundspaces_sim.rendering import waves
 
     size, places = _places("default", course.bands, course.rate, course.n, course.device)
-    stream = combined_keys(seeds, waves.LANES)
+    stream = combined_keys(seeds, WAVE_LANES)
     count, receivers = shares.direction.shape[1], len(offsets)
     out = []
     for i in range(len(energy)):
@@ -537,7 +559,7 @@ def plane_waves(
             e, row = _sample_energies(whole[None], course, dt, samples)
             gain = _root(e[0]).float().index_select(-1, row)
             keys = combined_keys(combined_keys(stream[i : i + 1], b), np.arange(count))
-            starts = (keys % np.uint64(len(filters.white_noise()))).astype(np.int64)
+            starts = (keys % np.uint64(len(white_noise()))).astype(np.int64)
             made = torch.fft.rfft(gain * _noise(starts, samples, course.device))
             bins = _times(made[:, at.first : at.last], at.gain)
             amplitude = course.tensor(np.ascontiguousarray(each[:, b], np.float32))

@@ -23,9 +23,11 @@ from tests.rooms import box, plain
 
 torch = pytest.importorskip("torch", reason="the extra 'torch' is not installed")
 
+from soundspaces_torch import echograms as torch_echograms  # noqa: E402
+from soundspaces_torch import renderer as torch_renderer  # noqa: E402
+from soundspaces_torch import signals as torch_signals  # noqa: E402
+
 import soundspaces_sim.torch  # noqa: E402
-from soundspaces_sim.dataset import torch_echograms, torch_renderer  # noqa: E402
-from soundspaces_sim.rendering import torch_signals  # noqa: E402
 
 PAIRS = np.array([(0, 3), (1, 1), (2, 6), (7, 0), (5, 4)])
 HEADS = np.array([(0.0, 0, 0), (30, 10, 0), (-90, 0, 20), (200, -5, 3), (75, 0, 0)])

@@ -15,31 +15,49 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from soundspaces_sim.core.config import check_rate
-from soundspaces_sim.core.errors import ConfigError, MaterialError
-from soundspaces_sim.core.numerics.axes import CHANNELS, check_degrees, head_matrix
-from soundspaces_sim.core.numerics.threads import share_out
-from soundspaces_sim.dataset import sampling
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.dataset.torch_echograms import KeptEchograms, as_batch
-from soundspaces_sim.echogram.displaced import displaced
-from soundspaces_sim.echogram.echogram import Echogram, without_arrivals
-from soundspaces_sim.echogram.filters import minimum_phase
-from soundspaces_sim.echogram.low_response import sphere
-from soundspaces_sim.echogram.refurnish import Materials, refurnished
-from soundspaces_sim.echogram.torch_closure import log_ratios, nepers
-from soundspaces_sim.rendering import low_band, waves
-from soundspaces_sim.rendering import torch_signals as signals
-from soundspaces_sim.rendering.ears import NEAR_M, Ears, as_ears, near_field_gains
-from soundspaces_sim.rendering.harmonics import harmonics_sn3d
-from soundspaces_sim.rendering.higher_orders import WAVES as MANY_WAVES
-from soundspaces_sim.rendering.higher_orders import check_order
-from soundspaces_sim.rendering.hrtf import load_hrtf
-from soundspaces_sim.rendering.microphones import MicrophoneArray
-from soundspaces_sim.rendering.torch_signals import Course, EchogramBatch
+from soundspaces_sim import (
+    ConfigError,
+    Ears,
+    Echogram,
+    MaterialError,
+    MicrophoneArray,
+    RirDataset,
+    refurnished,
+)
+from soundspaces_sim.parts import HIGH_ORDER_WAVES as MANY_WAVES
+from soundspaces_sim.parts import (
+    NEAR_M,
+    Materials,
+    as_ears,
+    as_pairs,
+    check_degrees,
+    check_order,
+    check_pairs,
+    check_rate,
+    displaced,
+    harmonics_sn3d,
+    head_matrix,
+    minimum_phase,
+    near_field_gains,
+    share_out,
+    shared_energy,
+    turned_lattice,
+    without_arrivals,
+)
+from soundspaces_sim.parts import PLANE_WAVES as PLANE_WAVES
+from soundspaces_sim.parts import SECOND_ORDER_CHANNELS as CHANNELS
+from soundspaces_sim.parts import direction_grid as sphere
+from soundspaces_sim.parts import for_each_pair as for_each_pair
+from soundspaces_sim.parts import waves_at_microphones as waves_at_microphones
+from soundspaces_sim.parts import waves_below as waves_below
+from soundspaces_sim.rendering import load_hrtf
+from soundspaces_torch import signals as signals
+from soundspaces_torch.closure import log_ratios, nepers
+from soundspaces_torch.echograms import KeptEchograms, as_batch
+from soundspaces_torch.signals import Course, EchogramBatch
 
 if TYPE_CHECKING:
-    from soundspaces_sim.echogram.endpoints import Directivity
+    from soundspaces_sim import Directivity
 
     Emits: TypeAlias = Directivity | str | Sequence[Directivity | str | None] | None
 
@@ -252,8 +270,8 @@ class Renderer:
 
     def _rows(self, pairs: ArrayLike) -> np.ndarray:
         given = pairs.detach().cpu().numpy() if isinstance(pairs, Tensor) else pairs
-        rows = sampling.as_pairs(given)
-        sampling.check_pairs(rows, len(self.dataset.points), str(self.dataset.path))
+        rows = as_pairs(given)
+        check_pairs(rows, len(self.dataset.points), str(self.dataset.path))
         if len(rows) == 0:
             raise ConfigError("pairs: expected at least one")
         return rows
@@ -280,7 +298,7 @@ class Renderer:
         heads: np.ndarray | None = None,
     ) -> Iterator[_Part]:
         """The pairs, those of one length together, `at_once` at most."""
-        emits = sampling.for_each(source, len(rows))
+        emits = for_each_pair(source, len(rows))
         plain = listener is None and materials is None and all(e is None for e in emits)
         shifted = heads is not None and any(as_ears(self.dataset.hrtf).offset)
         if plain and not shifted and self.dataset.renderer != "direct" and self._keep():
@@ -497,7 +515,7 @@ class Renderer:
             reverberation,
             part,
             lambda onto: signals.with_arrivals(part.batch, course, onto),
-            lambda low: low_band.below(low, (channels, course.n), course.rate),
+            lambda low: waves_below(low, (channels, course.n), course.rate),
         )
 
     def _combined(
@@ -532,10 +550,8 @@ class Renderer:
         plain = energy.detach().cpu().numpy().astype(float)
         directions, shares = [], []
         for seed, bands in zip(part.seeds, plain, strict=True):
-            direction = waves.turned_lattice(int(seed), count)
-            of_bands = np.stack(
-                [waves.shared_energy(np.ascontiguousarray(b.T), direction) for b in bands]
-            )
+            direction = turned_lattice(int(seed), count)
+            of_bands = np.stack([shared_energy(np.ascontiguousarray(b.T), direction) for b in bands])
             whole = bands[:, 0, :, None]
             shares.append(np.divide(of_bands, whole, out=np.zeros_like(of_bands), where=whole > 0.0))
             directions.append(direction)
@@ -554,7 +570,7 @@ class Renderer:
         def weights(direction: np.ndarray) -> np.ndarray:
             return np.sqrt(array.energy_gains(direction, bands)).transpose(0, 2, 1)
 
-        out = self._plane_waves(part, waves.WAVES, array.offsets, weights, c)
+        out = self._plane_waves(part, PLANE_WAVES, array.offsets, weights, c)
         batch = part.batch
         length = batch.delay.cpu().numpy() / signals.SECOND * c
         images = batch.direction.cpu().numpy().astype(float) * length[..., None]
@@ -578,7 +594,7 @@ class Renderer:
             out,
             part,
             arriving,
-            lambda low: low_band.at_microphones(
+            lambda low: waves_at_microphones(
                 low, array.offsets, amplitudes, part.course.n, part.course.rate, c
             ),
         )

@@ -10,10 +10,9 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.dataset import sampling
-from soundspaces_sim.dataset.torch_renderer import Renderer
-from soundspaces_sim.rendering.microphones import MicrophoneArray
+from soundspaces_sim import ConfigError, MicrophoneArray
+from soundspaces_sim.parts import as_pairs, check_pairs, pairs_of_two
+from soundspaces_torch.renderer import Renderer
 
 Hearing = Literal["binaural", "ambisonic", "monaural"]
 
@@ -53,11 +52,11 @@ class Reverberate(torch.nn.Module):
         if not self.headings or not np.isfinite(self.headings).all():
             raise ConfigError(f"headings_deg: expected one or more finite numbers, got {headings_deg!r}")
         if pairs is None:
-            pairs = sampling.pairs_of_two(len(renderer.dataset.points))
-        self.pairs = sampling.as_pairs(pairs)
+            pairs = pairs_of_two(len(renderer.dataset.points))
+        self.pairs = as_pairs(pairs)
         if len(self.pairs) == 0:
             raise ConfigError("pairs: expected at least one")
-        sampling.check_pairs(self.pairs, len(renderer.dataset.points), str(renderer.dataset.path))
+        check_pairs(self.pairs, len(renderer.dataset.points), str(renderer.dataset.path))
         self.renderer, self.kind, self.p, self.full, self.align = renderer, kind, p, full, align
         self.target_s = target_s
 
@@ -79,7 +78,7 @@ class Reverberate(torch.nn.Module):
         dry = samples.reshape(len(samples), samples.shape[-1]).to(made.device)
         if pairs is None:
             pairs = self.pairs[torch.randint(len(self.pairs), (len(dry),)).numpy()]
-        rows = sampling.as_pairs(pairs)
+        rows = as_pairs(pairs)
         if len(rows) != len(dry):
             raise ConfigError(f"pairs: expected one for each of {len(dry)} signals, got {len(rows)}")
         responses = self._responses(rows)

@@ -13,10 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from soundspaces_sim.echogram.closure import MOST_GAIN
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.reflection_counts import MOST_RATIO, MaterialGroups, between_windows
-from soundspaces_sim.echogram.refurnish import window_strength
+from soundspaces_sim import Echogram
+from soundspaces_sim.parts import MOST_GAIN, MOST_RATIO, MaterialGroups, between_windows, window_strength
 
 
 def log_ratios(groups: MaterialGroups, absorption: Tensor) -> Tensor:

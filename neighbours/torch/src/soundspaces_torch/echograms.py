@@ -10,12 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
-from soundspaces_sim.dataset.format.shard import FAILED, Shard
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.rendering.torch_signals import EchogramBatch, fixed
+from soundspaces_sim import DatasetError, Echogram, RirDataset
+from soundspaces_sim.parts import FAILED_PAIR as FAILED
+from soundspaces_sim.parts import EchogramShard, Shard
+from soundspaces_torch.signals import EchogramBatch, fixed
 
 _AFTER_S = 0.01  # of a response, after its last arrival: as `ambisonics.response_length`
 
