@@ -105,7 +105,7 @@ figures: $(VENV)/.installed ## Pictures of the demo for the README (SCENE=path f
 	  $(BIN)/soundspaces-sim plot "$(SCENE)" --what $$what --replace --out "$(FIGURES)/$$what.png" || exit; done
 
 nav: OUT = out/nav
-nav: $(VENV)/.navigates ## Agents that hear: flats, datasets, episodes, training, report [PRESET=quick|small|paper] [SEEDS=1]
+nav: $(VENV)/.navigates ## Agents that hear: homes, datasets, episodes, training, report [PRESET=quick|small|paper] [SEEDS=1]
 	@$(BIN)/soundspaces-agents run --preset "$(PRESET)" --out "$(OUT)" --seeds $(SEEDS) $(if $(JOBS),--jobs $(JOBS)) $(ARGS)
 
 explore: $(VENV)/.explores ## Hear a scene in the browser while it is simulated (SCENE=path, or the folder of a dataset)

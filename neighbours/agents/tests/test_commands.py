@@ -64,7 +64,7 @@ def test_agents_are_tested_and_replayed(data: NavData, tmp_path: Path) -> None:
             ("eval", "{}", "--renderer", "dircet"),
             "--renderer: expected default, smooth, paper or direct, got 'dircet'",
         ),
-        (("run", "--flats", "8,1"), "--flats: expected three numbers with commas between.*got '8,1'"),
+        (("run", "--homes", "8,1"), "--homes: expected three numbers with commas between.*got '8,1'"),
         (("eval", "nowhere"), "no dataset in a folder in nowhere; make one with"),
         (("train", "{}", "--agent", "GA"), "agents: 'GA' is not one of"),
         (

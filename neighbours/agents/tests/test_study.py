@@ -71,7 +71,9 @@ def test_what_is_compared_exists() -> None:
             plan.spacing,
             plan.walks,
         )
-        assert choose_variants(plan.variants) and not {*plan.splits["train"]} & {*plan.splits["test"]}
+        parts = plan.parted([f"home-{k}" for k in range(sum(plan.homes))])
+        assert choose_variants(plan.variants) and not {*parts["train"]} & {*parts["test"]}
+        assert [len(parts[split]) for split in ("train", "val", "test")] == list(plan.homes)
     for variant in VARIANTS.values():
         own = SENSORS[variant.task]
         assert set(variant.sensors) - {"collision", "intensity"} <= set(own), variant.name
@@ -136,9 +138,10 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
     def build(
         plan: Study, folder: Path, _jobs: int, _say: object, names: list[str] | None = None
     ) -> None:
-        for split in names or ("train", "val", "test"):
-            lattice_dataset([(0, 0), (1, 0)], folder, plan.splits[split][0], plan.walks)
-        splits = {s: plan.splits[s] for s in names or ("train", "val", "test")}
+        parts = plan.parted(("a", "b", "c"))
+        splits = {split: parts[split] for split in names or parts}
+        for (name,) in splits.values():
+            lattice_dataset([(0, 0), (1, 0)], folder, name, plan.walks)
         write_splits(folder, splits)
 
     got: dict[str, tuple[int | None, str | None, str]] = {}
@@ -148,7 +151,7 @@ def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.Mo
         got[run.name] = (walks, data.renderer, run.ears)
         return tmp_path
 
-    monkeypatch.setattr(stages, "build_flats", build)
+    monkeypatch.setattr(stages, "build_homes", build)
     monkeypatch.setattr(learn, "train_agent", train)
     monkeypatch.setattr(stages, "read_curve", lambda _: [{"steps": 1, "seconds": 1, "spl": 0}])
     monkeypatch.setitem(STUDIES, "small", Study("small", (1, 1, 1), 32, 0, 0, (), 0))
@@ -192,9 +195,9 @@ def test_orders_are_put_down_in_turn(tmp_path: Path) -> None:
         ("PG", 0),
         ("AG", 1),
     ]
-    fewer = RunSpec("small", ("AG",), flats=(2, 1, 1))
-    assert fewer.command.endswith("--agents AG --flats 2,1,1") and len(fewer.plan.splits["train"]) == 2
-    with pytest.raises(ss.ConfigError, match=r"holds a study of 24,4,8 flats, not 2,1,1"):
+    fewer = RunSpec("small", ("AG",), homes=(2, 1, 1))
+    assert fewer.command.endswith("--agents AG --homes 2,1,1") and fewer.plan.homes == (2, 1, 1)
+    with pytest.raises(ss.ConfigError, match=r"holds a study of 24,4,16 homes, not 2,1,1"):
         record_spec(fewer, tmp_path)
     with pytest.raises(ss.ConfigError, match="holds a study of preset 'small', not 'quick'"):
         record_spec(RunSpec("quick", ("AG",)), tmp_path)
@@ -229,7 +232,11 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
         put(tmp_path, "AG-walks-1000", seed, 0.8, IN["walks-1000"])
         put(tmp_path, "AG", seed, 0.65, IN["walks-1000"])
     put(tmp_path, "EarFollower", 0, 0.3)
-    text = report.write_report(tmp_path, print).read_text()
+    text = report.write_report(tmp_path, print, "On a quiet machine.").read_text()
+    shutil.copy(tmp_path / "record.json.gz", tmp_path / "alone.json.gz")
+    (tmp_path / "else").mkdir()
+    shutil.move(tmp_path / "alone.json.gz", tmp_path / "else" / "record.json.gz")
+    assert report.write_page(tmp_path / "else" / "record.json.gz", print).read_text() == text
     verdicts = {m[1]: m[2] for m in re.finditer(r"^\| (\S.* > .*?) \|.*\| ([a-z ]+) \|$", text, re.M)}
     assert verdicts == {
         "AG > EarFollower": "holds",
@@ -240,6 +247,10 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
         "AG > PG, σ = 0.5 m": "holds",
         "AG-walks-1000, in walks-1000 > AG, in walks-1000": "holds",
     }
+    order = [m[1] for m in re.finditer(r"^\| \S.* > .*?\|.*\| ([a-z ]+) \|$", text, re.M)]
+    assert order == ["holds"] * 4 + ["the reverse holds"] * 2 + ["not decided"]
+    assert "holds: 4, the reverse holds: 2, not decided: 1." in text and "On a quiet machine." in text
+    assert "not there" not in text and "**Asked for" not in text
     assert "1,000 walks a point teach more than 100" in text
     assert re.search(r"\| AG \| the study's datasets \| 0\.6\S* \[.*\] \| 0\.65", text)
     assert "| PG | 0.7" in text and re.search(
@@ -281,16 +292,16 @@ def test_scenes_take_turns(data: NavData) -> None:
 
 
 @pytest.mark.slow
-def test_ears_beat_chance_in_three_flats(tmp_path: Path) -> None:
-    """EarFollower's SPL is more than 0.1 above Random's in three furnished flats."""
-    from soundspaces_agents.pipeline import build_flats
+def test_ears_beat_chance_in_three_homes(tmp_path: Path) -> None:
+    """EarFollower's SPL is more than 0.1 above Random's in three furnished homes."""
+    from soundspaces_agents.pipeline import build_homes
 
     from soundspaces_sim.nav.agents import EarFollower, Random
     from soundspaces_sim.nav.env import AudioNavEnv
     from soundspaces_sim.nav.evaluate import evaluate
 
-    build_flats(Study("three", (3, 0, 0), 64, 0, 0, (), 0), tmp_path, 2, print, ["train"])
-    data = NavData(tmp_path)
+    build_homes(Study("three", (3, 0, 0), 64, 0, 0, (), 0), tmp_path / "data", 2, print, ["train"])
+    data = NavData(tmp_path / "data")
     episodes = make_episodes(data, "train", 90, seed=7)
     env = AudioNavEnv(data, sensors=("intensity",), max_steps=200)
     ears, chance = evaluate(EarFollower(), env, episodes), evaluate(Random(), env, episodes)

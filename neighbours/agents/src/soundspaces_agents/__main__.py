@@ -43,15 +43,15 @@ def studies() -> None:
     """Agents that hear: `make nav`, and its parts."""
 
 
-def _three(flats: str | None) -> tuple[int, int, int] | None:
-    """Numbers of flats by split. Raises `ConfigError`."""
-    if flats is None:
+def _three(homes: str | None) -> tuple[int, int, int] | None:
+    """Numbers of homes by split. Raises `ConfigError`."""
+    if homes is None:
         return None
     try:
-        a, b, c = (int(word) for word in flats.split(","))
+        a, b, c = (int(word) for word in homes.split(","))
     except ValueError:
         raise ConfigError(
-            f"--flats: expected three numbers with commas between, such as 8,1,4, got '{flats}'"
+            f"--homes: expected three numbers with commas between, such as 8,1,4, got '{homes}'"
         ) from None
     return a, b, c
 
@@ -64,12 +64,12 @@ def run(
     jobs: JobsOption = None,
     agents: Annotated[str | None, typer.Option(help="Some kinds alone, e.g. AG,PG.")] = None,
     updates: Annotated[int | None, typer.Option(help="Shorter (or longer) training.")] = None,
-    flats: Annotated[
-        str | None, typer.Option(help="Flats to train, validate and test with, e.g. 8,1,4.")
+    homes: Annotated[
+        str | None, typer.Option(help="Homes to train, validate and test with, e.g. 8,1,4.")
     ] = None,
 ) -> None:
-    """Flats, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
-    shape = _three(flats)
+    """Homes, datasets, views, episodes, agents, report.md; goes on where it was stopped."""
+    shape = _three(homes)
     from soundspaces_agents.pipeline import run_study
 
     kinds = agents.split(",") if agents else None
@@ -204,11 +204,28 @@ def evaluate_command(
 @app.command()
 def report(
     out: Annotated[Path, typer.Argument(help="Folder of a study.")] = Path("out/nav"),
+    to: Annotated[
+        Path | None, typer.Option(help="Folder for the record, one replay and the page; default: OUT.")
+    ] = None,
+    about: Annotated[str, typer.Option(help="How the study was made, in a sentence.")] = "",
 ) -> None:
-    """Write report.md of what results there are."""
-    from soundspaces_agents.pictures import write_report
+    """Write the record of what results there are, and its page, report.md."""
+    from soundspaces_agents.pictures import copy_report, write_report
 
-    write_report(out, print)
+    if to is None:
+        write_report(out, print, about)
+    else:
+        copy_report(out, to, print, about)
+
+
+@app.command()
+def page(
+    record: Annotated[Path, typer.Argument(help="Record of a study, record.json.gz.")],
+) -> None:
+    """Write report.md and the learning curves of a record beside it; no datasets are needed."""
+    from soundspaces_agents.pictures import write_page
+
+    write_page(record, print)
 
 
 @app.command()
@@ -247,21 +264,19 @@ def continuous(
 
 
 @app.command()
-def flats(
-    names: Annotated[list[str], typer.Argument(help="apartment-<number> or flat-<number>.")],
+def homes(
+    names: Annotated[list[str], typer.Argument(help="home-<number>.")],
     config: Annotated[Path | None, typer.Option(help="TOML file of settings.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/flats"),
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/homes"),
     jobs: JobsOption = None,
 ) -> None:
-    """Datasets of flats: as `soundspaces-sim rirs` makes them, of scenes on a lattice for agents."""
-    from soundspaces_agents.flats import load_flat
-    from soundspaces_sim import JobConfig, build_dataset, load_config
+    """Datasets of homes as studies have them: of the largest piece of floor that one can walk about in."""
+    from soundspaces_agents.pipeline import build_home
+    from soundspaces_sim import JobConfig, load_config
 
     settings = JobConfig() if config is None else load_config(config)
     for name in names:
-        scene = load_flat(name)
-        done = build_dataset(scene, out, settings, jobs, command=f"soundspaces-agents flats {name}")
-        print(f"Wrote {done.folder}")
+        print(f"Wrote {build_home(name, out, settings, jobs)}")
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""`make nav`: flats, datasets, views, what is heard, episodes, agents, results, a report. Every stage goes on
+"""`make nav`: homes, datasets, views, what is heard, episodes, agents, results, a report. Every stage goes on
 where it was stopped; what is finished is left alone."""
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from soundspaces_agents.experiments import (
     heard_in,
     trials_of,
 )
-from soundspaces_agents.flats import load_flat
+from soundspaces_agents.homes import choose_homes, largest_piece
 from soundspaces_agents.learn.run_files import read_curve
 from soundspaces_agents.presets import TrainConfig, preset
 from soundspaces_agents.study import (
+    CHOICE,
     Log,
     RunSpec,
     Study,
@@ -43,8 +44,10 @@ from soundspaces_agents.study import (
 )
 from soundspaces_sim import (
     ConfigError,
+    JobConfig,
     SoundSpacesSimError,
     build_dataset,
+    load_scene,
     open_dataset,
 )
 from soundspaces_sim.nav import (
@@ -70,7 +73,7 @@ from soundspaces_sim.parts import (
 )
 from soundspaces_sim.parts import EpisodeRules as Rules
 
-GOALS = 20  # points per flat at which sounds stand
+GOALS = 20  # points per home at which sounds stand
 _Task = tuple[Path, str | None, dict[str, set[int]]]  # to bake: a dataset, its renderer, goals by sound
 
 
@@ -82,20 +85,20 @@ def run_study(
     variants: Sequence[str] | None = None,
     updates: int | None = None,
     log: Log = print,
-    flats: tuple[int, int, int] | None = None,
+    homes: tuple[int, int, int] | None = None,
 ) -> Path:
     """All stages; returns the report. `jobs`: processes; `variants`: some of the study's; `updates`: shorter
-    runs; `flats`: fewer or more, to train with, to validate and to test with."""
+    runs; `homes`: fewer or more, to train with, to validate and to test with."""
     jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
     if seeds < 1:
         raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
-    if flats is not None and (len(flats) != 3 or min(flats) < 1):
-        raise ConfigError(f"flats: expected three numbers of at least 1 (train, val, test), got {flats}")
+    if homes is not None and (len(homes) != 3 or min(homes) < 1):
+        raise ConfigError(f"homes: expected three numbers of at least 1 (train, val, test), got {homes}")
     chosen = choose_variants(study(name).variants if variants is None else variants)
-    spec = RunSpec(name, tuple(variant.name for variant in chosen), seeds, updates, flats)
+    spec = RunSpec(name, tuple(variant.name for variant in chosen), seeds, updates, homes)
     plan = spec.plan
     record_spec(spec, out)
-    build_flats(plan, out / "data", jobs, log)
+    build_homes(plan, out / "data", jobs, log)
     build_others(spec, out, jobs, log)
     bake_goals(out, jobs, log)
     write_episode_sets(plan, out, any(variant.varied for variant in chosen), log)
@@ -106,21 +109,29 @@ def run_study(
     return pictures.write_report(out, log)
 
 
-def build_flats(
+def build_homes(
     plan: Study, folder: Path, jobs: int, log: Log, names: Sequence[str] | None = None
 ) -> None:
-    """Datasets of all flats, or of splits by `names`, and what splits there are."""
-    splits = {name: of for name, of in plan.splits.items() if names is None or name in names}
+    """Datasets of all homes, or of splits by `names`, and what splits there are. Which homes, is kept beside
+    `folder`."""
+    chosen = choose_homes(sum(plan.homes), plan.job.grid, folder.parent / CHOICE)
+    splits = {name: of for name, of in plan.parted(chosen).items() if names is None or name in names}
     scenes = [scene for of in splits.values() for scene in of]
     for k, scene in enumerate(scenes):
         if not (folder / scene / MANIFEST).exists() or not read_manifest(folder / scene).complete:
             log(
                 f"dataset {k + 1} of {len(scenes)}: {scene}{'' if names is None else f', {folder.name}'}"
             )
-            build_dataset(
-                load_flat(scene), folder, plan.job, jobs, command=f"soundspaces-agents flats {scene}"
-            )
+            build_home(scene, folder, plan.job, jobs)
     write_splits(folder, splits)
+
+
+def build_home(name: str, folder: Path, config: JobConfig, jobs: int | None) -> Path:
+    """The dataset of a home's largest piece; its folder."""
+    scene = load_scene(name)
+    points = largest_piece(scene, config.grid)
+    command = f"soundspaces-agents homes {name}"
+    return build_dataset(scene, folder, config, jobs, points=points, command=command).folder
 
 
 def build_others(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
@@ -134,7 +145,7 @@ def build_others(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
             needed.setdefault(folder, (plan, set()))[1].update(map(split_of, sets))
     for folder, (plan, splits) in needed.items():
         before = set(NavData(folder).splits) if (folder / SPLITS).exists() else set()
-        build_flats(plan, folder, jobs, log, sorted(splits | before))
+        build_homes(plan, folder, jobs, log, sorted(splits | before))
 
 
 def bake_goals(out: Path, jobs: int, log: Log) -> None:
@@ -160,12 +171,12 @@ def bake_goals(out: Path, jobs: int, log: Log) -> None:
 
 
 def split_of(episodes: str) -> str:
-    """The split in whose flats a set of episodes is."""
+    """The split in whose homes a set of episodes is."""
     return episodes.partition("_")[0]
 
 
 def write_episode_sets(plan: Study, out: Path, varied: bool, log: Log) -> None:
-    """Episodes of the three splits, sounds standing at `GOALS` points per flat; `varied`: those of training and
+    """Episodes of the three splits, sounds standing at `GOALS` points per home; `varied`: those of training and
     testing once more with other sounds, so that what changes is the sound alone."""
     data = NavData(out / "data")
     for split, count in (
@@ -203,7 +214,7 @@ def with_sounds(
 
 
 def bake_all(spec: RunSpec, out: Path, jobs: int, log: Log) -> None:
-    """Views, and what is heard of every goal that agents are sent to, flat by flat, in all acoustics."""
+    """Views, and what is heard of every goal that agents are sent to, home by home, in all acoustics."""
     tasks: list[_Task] = []
     for name, sets in heard_in(spec.runs).items():
         data = open_data(spec.plan, out, name)
@@ -224,7 +235,7 @@ def _bake(tasks: Sequence[_Task], jobs: int, log: Log) -> None:
 def _bake_one(task: _Task) -> str:
     folder, renderer, sounds = task
     with open_dataset(folder, renderer=renderer) as ds:
-        bake_views(ds, scene=load_flat(ds.scene))
+        bake_views(ds, scene=load_scene(ds.scene))
         bank = SoundBank(ds.rate)
         for sound, goals in sounds.items():
             bake_sound(ds, bank, sound, sorted(goals))

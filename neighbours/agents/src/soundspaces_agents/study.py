@@ -1,16 +1,17 @@
 """Parts of a study and their paths; `pipeline` makes them.
 
-OUT/data/<flat>/                        datasets, views.h5, heard_<sound>.h5; splits.toml
-OUT/data-walks-<n>/<flat>/              the same with other numbers of walks, of splits that need them
+OUT/homes.json                          which homes were looked at, which taken
+OUT/data/<home>/                        datasets, views.h5, heard_<sound>.h5; splits.toml
+OUT/data-walks-<n>/<home>/              the same with other numbers of walks, of splits that need them
 OUT/episodes/replica/v1/<set>/          train, val, test; train_varied, test_heard, test_unheard
 OUT/agents/<name>-<seed>/               agent.pt, curve.jsonl
 OUT/results/<name>/<condition>/<seed>.json
-OUT/replays, OUT/study.json, OUT/report.md
+OUT/replays, OUT/study.json, OUT/record.json.gz, OUT/report.md
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -57,17 +58,16 @@ from soundspaces_sim.parts import publish_file as publish
 
 Log = Callable[[str], None]
 _NAME = "study.json"
-SCENES = "apartment"
+CHOICE = "homes.json"  # which homes were taken
 
 
 @dataclass(frozen=True)
 class Study:
-    """`flats`: per split, of the `scenes` ``<scenes>-<number>``; `walks` per point; episodes to train with and to
-    test with; which `variants`; `sounds_at_a_goal`: of many, in training; every one of 73 at every goal of Replica
-    would be 54 GB."""
+    """`homes`: per split; `walks` per point; episodes to train with and to test with; which `variants`;
+    `sounds_at_a_goal`: of many, in training; every one of 73 at every goal of Replica would be 54 GB."""
 
     preset: str
-    flats: tuple[int, int, int]
+    homes: tuple[int, int, int]
     walks: int
     train_episodes: int
     test_episodes: int
@@ -75,14 +75,11 @@ class Study:
     replays: int
     sounds_at_a_goal: int = 1
     rate: int = 16000
-    spacing: float = 1.0
-    scenes: str = SCENES
+    spacing: float = 0.75
 
-    @property
-    def splits(self) -> dict[str, tuple[str, ...]]:
-        """Flats by split: training takes the first numbers."""
-        names = [f"{self.scenes}-{k}" for k in range(sum(self.flats))]
-        a, b, _ = np.cumsum(self.flats)
+    def parted(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+        """Homes by split: training takes the first."""
+        a, b, _ = np.cumsum(self.homes)
         return {"train": tuple(names[:a]), "val": tuple(names[a:b]), "test": tuple(names[b:])}
 
     @property
@@ -98,11 +95,11 @@ class Study:
 STUDIES = {
     "quick": Study("quick", (5, 1, 2), 100, 2000, 100, ("AG-dagger",), 1),
     "small": Study(
-        "small", (24, 4, 8), 100, 20_000, 400, (*without_twins(PPO_VARIANTS, 100), "AG-dagger"), 10
+        "small", (24, 4, 16), 100, 20_000, 400, (*without_twins(PPO_VARIANTS, 100), "AG-dagger"), 10
     ),
     # The paper's numbers of Replica: 100,000 episodes to train with, 1,000 to test; its rate and grid.
     "paper": Study(
-        "paper", (24, 4, 8), 1000, 100_000, 1000, without_twins(PPO_VARIANTS, 1000), 10, 3, 44100, 0.5
+        "paper", (24, 4, 16), 1000, 100_000, 1000, without_twins(PPO_VARIANTS, 1000), 10, 3, 44100, 0.5
     ),
 }
 
@@ -118,21 +115,20 @@ def study(name: str) -> Study:
 
 @dataclass(frozen=True)
 class RunSpec:
-    """What to run: `variants` in order, `seeds` of each, `updates` of training and `flats` per split (None: those
-    of the preset) of `scenes`."""
+    """What to run: `variants` in order, `seeds` of each, `updates` of training and `homes` per split (None: those
+    of the preset)."""
 
     preset: str
     variants: tuple[str, ...]
     seeds: int = 1
     updates: int | None = None
-    flats: tuple[int, int, int] | None = None
-    scenes: str = SCENES
+    homes: tuple[int, int, int] | None = None
 
     @property
     def plan(self) -> Study:
-        """The study of its preset, with the flats that were asked for. Raises `ConfigError`."""
-        plan = replace(study(self.preset), scenes=self.scenes)
-        return plan if self.flats is None else replace(plan, flats=self.flats)
+        """The study of its preset, with the homes that were asked for. Raises `ConfigError`."""
+        plan = study(self.preset)
+        return plan if self.homes is None else replace(plan, homes=self.homes)
 
     @property
     def runs(self) -> list[tuple[Variant, int]]:
@@ -143,8 +139,8 @@ class RunSpec:
     def command(self) -> str:
         """What repeats it."""
         updates = f" --updates {self.updates}" if self.updates is not None else ""
-        if self.flats is not None:
-            updates += f" --flats {','.join(map(str, self.flats))}"
+        if self.homes is not None:
+            updates += f" --homes {','.join(map(str, self.homes))}"
         run = f"soundspaces-agents run --preset {self.preset} --seeds {self.seeds}"
         return f"{run} --agents {','.join(self.variants)}{updates}"
 
@@ -159,20 +155,15 @@ def read_specs(out: Path) -> list[RunSpec]:
 
 
 def record_spec(spec: RunSpec, out: Path) -> None:
-    """Put down what is asked for. Raises `ConfigError` if the folder is of another preset, or of other flats."""
+    """Put down what is asked for. Raises `ConfigError` if the folder is of another preset, or of other homes."""
     before = read_specs(out) if (out / _NAME).exists() else []
     if before and before[-1].preset != spec.preset:
         raise ConfigError(
             f"{out}: this folder holds a study of preset '{before[-1].preset}', not '{spec.preset}'; take another"
         )
-    if before and before[-1].scenes != spec.scenes:
-        raise ConfigError(
-            f"{out}: this folder holds a study of the scenes {before[-1].scenes}-<n>, not {spec.scenes}-<n>; take "
-            "another"
-        )
-    if before and before[-1].plan.flats != spec.plan.flats:
-        a, b = (",".join(map(str, one.plan.flats)) for one in (before[-1], spec))
-        raise ConfigError(f"{out}: this folder holds a study of {a} flats, not {b}; take another")
+    if before and before[-1].plan.homes != spec.plan.homes:
+        a, b = (",".join(map(str, one.plan.homes)) for one in (before[-1], spec))
+        raise ConfigError(f"{out}: this folder holds a study of {a} homes, not {b}; take another")
     specs = [asdict(one) for one in (*(o for o in before if o != spec), spec)]
     out.mkdir(parents=True, exist_ok=True)
     publish(out / _NAME, msgspec.json.encode(specs))

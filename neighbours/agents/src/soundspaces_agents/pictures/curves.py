@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from soundspaces_agents.experiments import VARIANTS, Variant
-from soundspaces_agents.learn import run_files
+from soundspaces_agents.experiments import Variant
 
 _COLOURS = (
     "#0072B2 #D55E00 #009E73 #CC79A7 #E69F00 #56B4E9 #882255 #999933 "
@@ -18,20 +17,15 @@ _COLOURS = (
 ).split()  # one for each variant of a preset
 
 
-def curves_of(out: Path) -> Iterator[tuple[Variant, int, list[dict[str, float]]]]:
-    """(arm, seed, learning curve) of every run that there is, arm by arm."""
-    for variant in VARIANTS.values():
-        for folder in sorted((out / "agents").glob(f"{variant.name}-[0-9]*")):
-            if rows := run_files.read_curve(folder):
-                yield variant, int(folder.name.rpartition("-")[2]), rows
+Runs = Iterable[tuple[Variant, int, list[dict[str, float]]]]  # arm, seed, learning curve
 
 
-def draw_curves(out: Path, path: Path) -> bool:
+def draw_curves(runs: Runs, path: Path) -> bool:
     """Mean SPL over the seeds of each arm against steps, and between its worst and best seed, the arms by what they
     end with; False, and no file, if there is no run."""
     arms = [
-        (variant, *_over_seeds([rows for _, _, rows in runs]))
-        for variant, runs in groupby(curves_of(out), lambda run: run[0])
+        (variant, *_over_seeds([rows for _, _, rows in own]))
+        for variant, own in groupby(runs, lambda run: run[0])
     ]
     if not arms:
         return False

@@ -32,7 +32,7 @@ def datasets_row(folder: Path) -> str:
     manifests = [read_manifest(path.parent) for path in sorted(folder.glob(f"*/{MANIFEST}"))]
     targets = " / ".join(sorted({m.target for m in manifests}))
     points = sum(len(m.points) for m in manifests)
-    about = f"{len(manifests)} flats, {points:,} points, on {targets or 'machines not recorded'}"
+    about = f"{len(manifests)} scenes, {points:,} points, on {targets or 'machines not recorded'}"
     digest = _digest(f"{m.scene} {m.key}\n".encode() for m in manifests)
     return f"| datasets `{folder.name}` | {about} | `{digest}` |"
 
