@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,33 @@ def test_dagger_goes_on_to_the_bit(data: nav.NavData, tmp_path: Path) -> None:
     assert env.state is not None
     result = nav.evaluate(ContinuousAgent(whole, "agent", 16000), env, [env.state.episode])
     assert "success_when_silent" in result.summary()
+
+
+def test_sb3_learns_and_is_tested(data: nav.NavData, tmp_path: Path) -> None:
+    """A glimpse: a row of the curve each 64 steps and one at the end, agent and follower in the same episodes, with
+    the follower's success as `evaluate` has it; the stack holds the last steps in order."""
+    pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+    from soundspaces_agents.learn.continuous_policy import INPUTS
+    from soundspaces_agents.learn.continuous_ppo import SbConfig, Stack, run_sb3
+
+    config = SbConfig(
+        steps=128, every=64, agents=2, episodes=3, rollout=32, batch=32, epochs=1, max_steps=12, min_distance=2.0,
+        places=3,
+    )  # fmt: skip
+    said: list[str] = []
+    page = run_sb3(data, tmp_path, config, 1, said.append, SCENES)
+    rows = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
+    assert [row["steps"] for row in rows] == [64, 128] and (tmp_path / "continuous_ppo.png").exists()
+    assert all(0.0 <= row["test_success"] <= 1.0 and row["processor_s"] > 0.0 for row in rows)
+    follower = page.read_text().split("| DirectionFollower | ")[1].split()[0]
+    assert f"success {follower}" in said[0]
+    stack = Stack(2, 16000)
+    ears = np.ones((2, 4000), np.float32)
+    first = stack.add({"audiogoal": ears, "pose": np.zeros(4), "collision": np.zeros(1)})
+    stack.took(3)
+    second = stack.add({"audiogoal": ears, "pose": np.ones(4), "collision": np.zeros(1)})
+    assert (first[:INPUTS] == 0.0).all() and (second[:INPUTS] == first[INPUTS:]).all()
+    assert second[-6:].tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]  # RIGHT
 
 
 def test_places(data: nav.NavData) -> None:

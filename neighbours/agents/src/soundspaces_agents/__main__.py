@@ -263,6 +263,20 @@ def continuous(
     print(f"Wrote {path}")
 
 
+@app.command(name="continuous-ppo")
+def continuous_ppo(
+    data: DataArgument,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/continuous-ppo"),
+    steps: Annotated[int, typer.Option(help="Steps of training.", min=1)] = 300_000,
+    seed: SeedOption = 0,
+) -> None:
+    """Train with PPO of Stable-Baselines3 in continuous space, and test against the follower of sound."""
+    from soundspaces_agents.learn.continuous_ppo import SbConfig, run_sb3
+
+    config = SbConfig(steps=steps)
+    print(f"Wrote {run_sb3(data, out, config, seed, lambda line: print(line, flush=True))}")
+
+
 @app.command()
 def homes(
     names: Annotated[list[str], typer.Argument(help="home-<number>.")],
