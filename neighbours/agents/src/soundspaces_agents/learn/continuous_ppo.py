@@ -29,7 +29,7 @@ from soundspaces_continuous import (
 )
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soundspaces_agents.learn.continuous_policy import INPUTS, SENSORS, inputs_of
 from soundspaces_sim import Scene
@@ -222,7 +222,9 @@ def run_sb3(
         env.setting = first.setting  # its spectra
         return StackedInputs(env, config.stack)
 
-    agents = DummyVecEnv([make] * config.agents)
+    agents = VecNormalize(
+        DummyVecEnv([make] * config.agents), norm_obs=False
+    )  # rewards by their spread, as in `small`
     agents.seed(seed)
     model = PPO(
         "MlpPolicy", agents, learning_rate=lambda left: config.rate * left, n_steps=config.rollout,
