@@ -636,10 +636,6 @@ from .scene.generate.buildings.registry import (
 from .scene.generate.buildings.walkway import (
     inside as inside_polygon,
 )
-from .scene.generate.demo import (
-    Box,
-    boxes_mesh,
-)
 from .scene.labelled import (
     LabelledMesh,
     SceneFormat,
@@ -809,7 +805,6 @@ __all__ = [
     "Agent",
     "Air",
     "BlockCache",
-    "Box",
     "CollectionFailure",
     "CollectionManifest",
     "Convention",
@@ -877,7 +872,6 @@ __all__ = [
     "band_windows",
     "beside_edge",
     "between_windows",
-    "boxes_mesh",
     "building_of",
     "building_rooms",
     "cast_ray",
