@@ -70,7 +70,7 @@ $(VENV)/.explores: $(VENV)/.made
 	@touch $@
 
 $(VENV)/.collects: $(VENV)/.installed
-	$(INSTALL) --no-deps -e ./neighbours/collections
+	$(INSTALL) --no-deps -e ./neighbours/buildings -e ./neighbours/collections
 	@touch $@
 
 $(VENV)/.engine-local: $(VENV)/.installed
@@ -82,7 +82,7 @@ $(VENV)/.engine-%: $(VENV)/.installed
 
 $(VENV)/.navigates: $(VENV)/.installed
 	@build=""; if [ "$(TORCH)" = cpu ]; then build=$$($(BIN)/python pipelines/torch_cpu.py --index "$(TORCH_INDEX)") || exit 1; fi; \
-	  set -x; $(INSTALL) $$build -e ".[nav,figures]" -e ./neighbours/continuous -e ./neighbours/agents
+	  set -x; $(INSTALL) $$build -e ".[nav,figures]" -e ./neighbours/buildings -e ./neighbours/continuous -e ./neighbours/agents
 	@touch $@
 
 install: $(VENV)/.installed ## Set up the virtual environment

@@ -628,20 +628,13 @@ from .scene.formats.ply import (
 from .scene.frame import (
     UNITS as LENGTH_UNITS,
 )
-from .scene.generate.buildings.registry import (
-    BUILDINGS,
-    building_of,
-    building_rooms,
-)
-from .scene.generate.buildings.walkway import (
-    inside as inside_polygon,
-)
 from .scene.labelled import (
     LabelledMesh,
     SceneFormat,
 )
 from .scene.materials import (
     FREE,
+    load_materials,
 )
 from .scene.materials import (
     limit as limit_transmission,
@@ -745,7 +738,6 @@ from .viz.report import (
 __all__ = [
     "BASELINES",
     "BIN_S",
-    "BUILDINGS",
     "CAMERA_HEIGHT",
     "DAMAGED",
     "DEFAULT_BANDS",
@@ -872,8 +864,6 @@ __all__ = [
     "band_windows",
     "beside_edge",
     "between_windows",
-    "building_of",
-    "building_rooms",
     "cast_ray",
     "center_frequencies",
     "check_degrees",
@@ -950,7 +940,6 @@ __all__ = [
     "image_of",
     "in_our_words",
     "in_processes",
-    "inside_polygon",
     "install_hint",
     "is_valid_shard",
     "join_frames",
@@ -960,6 +949,7 @@ __all__ = [
     "left_after",
     "levels_of",
     "limit_transmission",
+    "load_materials",
     "load_result",
     "log_steps",
     "logit_reproducibility",

@@ -14,10 +14,13 @@ GROUP = "soundspaces_sim.commands"  # of entry points; each is a typer app, by t
 #: Folders in neighbours/ and help of every command.
 COMMANDS = {
     "collection": (
-        "collections",
+        "buildings collections",
         "Build datasets of many generated buildings: splits, episodes, report.",
     ),
-    "rooms": ("exports rooms", "Simulate many rooms: random ones for speech, or those of a list."),
+    "rooms": (
+        "buildings exports rooms",
+        "Simulate many rooms: random ones for speech, or those of a list.",
+    ),
     "explore": ("explorer", "Hear a scene in the browser while it is simulated, or a dataset."),
 }
 WITHOUT_OWN_OPTIONS = {

@@ -10,9 +10,8 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="the extra `figures` is not installed")
 
+from soundspaces_buildings.registry import building_rooms
 from soundspaces_collections.rooms import RoomTimes, compared, rooms_of, surveyed, times_by_use
-
-from soundspaces_sim.scene.generate.buildings.registry import building_rooms
 
 _BANDS = (0.0, 176.0, 775.0, 3409.0, 20000.0)
 

@@ -11,6 +11,7 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from soundspaces_sim.scene.formats import (
+    buildings,
     dae,
     gibson,
     hm3d,
@@ -22,14 +23,13 @@ from soundspaces_sim.scene.formats import (
     room_programs,
 )
 from soundspaces_sim.scene.generate import demo
-from soundspaces_sim.scene.generate.buildings import registry
 from soundspaces_sim.scene.labelled import SceneFormat
 
 GROUP = "soundspaces_sim.scene_formats"  # of entry points; each is a `SceneFormat`
 #: By name, in the order in which they are tried.
 FORMATS: Mapping[str, SceneFormat] = {
     "demo": demo.FORMAT,
-    "building": registry.FORMAT,
+    "building": buildings.FORMAT,
     "replica": replica.FORMAT,
     "matterport": matterport.FORMAT,
     "hm3d": hm3d.FORMAT,

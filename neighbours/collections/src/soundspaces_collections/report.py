@@ -98,7 +98,7 @@ def report(
     parts = [
         f"# A collection of {of.kind}s\n",
         f"{len(rows)} of the generated buildings `{of.kind}-<n>` ([Your own "
-        f"scene](../../docs/scenes.md#generated-buildings)), each with "
+        f"scene](../buildings/README.md)), each with "
         f"all room impulse responses between its points: {pairs:,} in {size / 1e9:.2f} GB, "
         f"{size / pairs / 1e3:.2f} kB "
         f"each. Made and described by `make collection HOMES={of.count}` (version {__version__}); "

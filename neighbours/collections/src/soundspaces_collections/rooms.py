@@ -12,10 +12,10 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 from matplotlib.axes import Axes
+from soundspaces_buildings.registry import BUILDINGS, building_of, building_rooms
+from soundspaces_buildings.walkway import inside as inside
 
 from soundspaces_sim import RirDataset
-from soundspaces_sim.parts import BUILDINGS, building_of, building_rooms
-from soundspaces_sim.parts import inside_polygon as inside
 
 _HOMES = (
     (0.40, 0.69, "50 living rooms, means\n8 kHz to 125 Hz [1]"),
@@ -129,6 +129,6 @@ def compared(kind: str, times: Mapping[str, np.ndarray]) -> str:
     least, most = min(r[0] for r in ranges), max(r[1] for r in ranges)
     within = 100.0 * np.mean((some >= least) & (some <= most))
     return text + (
-        f"Published ([sources](../../docs/scenes.md#generated-buildings)): {least:g} to {most:g} s; "
+        f"Published ([sources](../buildings/README.md)): {least:g} to {most:g} s; "
         f"{within:.0f} % of them are within that, {100.0 * np.mean(some > most):.0f} % above."
     )

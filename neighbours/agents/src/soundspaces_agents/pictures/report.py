@@ -116,7 +116,7 @@ def _head(record: Record, plan: Study) -> list[str]:
     if record.homes is not None:
         taken, seen = len(record.homes.taken), len(record.homes.seen)
         homes = [
-            "Homes are `home-<n>` of the core's generator by growing number, those whose largest piece of floor to "
+            "Homes are `home-<n>` of neighbours/buildings by growing number, those whose largest piece of floor to "
             f"walk about in, on the grid, is at least {record.homes.least_floor:g} m²: {taken} of the first "
             f"{seen}. A dataset has the points of that piece.",
             "",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.shell import HALF, Profile
-from soundspaces_sim.scene.generate.buildings.solids import area, inset
+from soundspaces_buildings.shell import HALF, Profile
+from soundspaces_buildings.solids import area, inset
 
 _STANDING = 2.25  # m, least height under a slope
 

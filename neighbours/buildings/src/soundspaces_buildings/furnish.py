@@ -9,16 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.data import (
-    OPEN_HEAD,
-    STEP,
-    Piece,
-    furniture,
-    programmes,
-)
-from soundspaces_sim.scene.generate.buildings.shell import Room
-from soundspaces_sim.scene.generate.buildings.solids import Solid, moved, prism
-from soundspaces_sim.scene.generate.buildings.walkway import Walkway, inside
+from soundspaces_buildings.data import OPEN_HEAD, STEP, Piece, furniture, programmes
+from soundspaces_buildings.shell import Room
+from soundspaces_buildings.solids import Solid, moved, prism
+from soundspaces_buildings.walkway import Walkway, inside
 
 _TRIES = 40  # places at walls that are looked at for a piece
 _GAP = 0.02  # m between pieces, and off walls

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.data import draw_area, draw_finishes, programmes
-from soundspaces_sim.scene.generate.buildings.furnish import rectangle
-from soundspaces_sim.scene.generate.buildings.large import steps
-from soundspaces_sim.scene.generate.buildings.rooms import Door, Interior, Way, fill
-from soundspaces_sim.scene.generate.buildings.shapes import draw_height
-from soundspaces_sim.scene.generate.buildings.shell import HALF, Building, Opening, Profile, Room
-from soundspaces_sim.scene.generate.buildings.single import draw_density, outer_door
-from soundspaces_sim.scene.generate.buildings.solids import Solid, box
+from soundspaces_buildings.data import draw_area, draw_finishes, programmes
+from soundspaces_buildings.furnish import rectangle
+from soundspaces_buildings.large import steps
+from soundspaces_buildings.rooms import Door, Interior, Way, fill
+from soundspaces_buildings.shapes import draw_height
+from soundspaces_buildings.shell import HALF, Building, Opening, Profile, Room
+from soundspaces_buildings.single import draw_density, outer_door
+from soundspaces_buildings.solids import Solid, box
 
 _SLACK = 1.45  # how far an area may lie beyond its programme's bounds
 

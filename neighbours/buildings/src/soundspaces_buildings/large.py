@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.data import draw_finishes
-from soundspaces_sim.scene.generate.buildings.furnish import column
-from soundspaces_sim.scene.generate.buildings.rooms import Interior, fill, windows_and_curtains
-from soundspaces_sim.scene.generate.buildings.shapes import gable, vault
-from soundspaces_sim.scene.generate.buildings.shell import (
-    HALF,
-    Building,
-    Opening,
-    Profile,
-    Room,
-    shell,
-)
-from soundspaces_sim.scene.generate.buildings.single import outer_door
-from soundspaces_sim.scene.generate.buildings.solids import Solid, box, inset
+from soundspaces_buildings.data import draw_finishes
+from soundspaces_buildings.furnish import column
+from soundspaces_buildings.rooms import Interior, fill, windows_and_curtains
+from soundspaces_buildings.shapes import gable, vault
+from soundspaces_buildings.shell import HALF, Building, Opening, Profile, Room, shell
+from soundspaces_buildings.single import outer_door
+from soundspaces_buildings.solids import Solid, box, inset
 
 _RISER = 0.18  # m, at most
 

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.data import draw_area, draw_finishes, furniture, programmes
-from soundspaces_sim.scene.generate.buildings.furnish import Floor, column, rectangle
-from soundspaces_sim.scene.generate.buildings.rooms import Interior, Way, fill
-from soundspaces_sim.scene.generate.buildings.shapes import (
-    cell_of,
-    draw_height,
-    draw_shape,
-    gable,
-    slope,
-)
-from soundspaces_sim.scene.generate.buildings.shell import Building, Profile, Room
-from soundspaces_sim.scene.generate.buildings.solids import Solid, prism
-from soundspaces_sim.scene.generate.buildings.walkway import inside
+from soundspaces_buildings.data import draw_area, draw_finishes, furniture, programmes
+from soundspaces_buildings.furnish import Floor, column, rectangle
+from soundspaces_buildings.rooms import Interior, Way, fill
+from soundspaces_buildings.shapes import cell_of, draw_height, draw_shape, gable, slope
+from soundspaces_buildings.shell import Building, Profile, Room
+from soundspaces_buildings.solids import Solid, prism
+from soundspaces_buildings.walkway import inside
 
 #: Uses of a single room in a dwelling, and shapes, with weights.
 _USES = {

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.scene.labelled import LabelledMesh
+from soundspaces_sim.parts import LabelledMesh
 
 _DIGITS = 4  # of metres
 _FLAT = 1e-9  # m², of a corner that is none

@@ -13,15 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.solids import (
-    Solid,
-    area,
-    clip,
-    inset,
-    moved,
-    prism,
-    turned,
-)
+from soundspaces_buildings.solids import Solid, area, clip, inset, moved, prism, turned
 
 HALF = 0.07  # m: half the thickness of a wall between rooms
 _SLAB = 0.15  # m

@@ -1,4 +1,4 @@
-"""The figures of docs/scenes.md on generated buildings: `python docs/scenes_figures.py [buildings|times]`.
+"""The figures of the page on generated buildings: `python neighbours/buildings/figures.py [buildings|times]`.
 
 Times are simulated: T30, mean of the bands about 500 Hz and 1 kHz, of pairs in one room with all doors as they are,
 one source and two listeners a room, of `_WALKS` subpaths a point; the median of a room's pairs. Published figures
@@ -15,6 +15,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from soundspaces_buildings.registry import building_rooms
+from soundspaces_buildings.shell import Room
+from soundspaces_buildings.walkway import inside
 from soundspaces_collections.axonometric import write_gallery
 from soundspaces_collections.rooms import histogram, middle
 
@@ -22,9 +25,6 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.measures import echograms_measures
 from soundspaces_sim.scene.enclosure import closedness
-from soundspaces_sim.scene.generate.buildings.registry import building_rooms
-from soundspaces_sim.scene.generate.buildings.shell import Room
-from soundspaces_sim.scene.generate.buildings.walkway import inside
 
 _OUT = Path(__file__).parent / "figures" / "generated_reverberation.png"
 _BUILDINGS = _OUT.with_name("generated_buildings.png")

@@ -7,19 +7,15 @@ import hashlib
 import numpy as np
 import pytest
 import trimesh
+from soundspaces_buildings.data import furniture, own_materials
+from soundspaces_buildings.furnish import Floor
+from soundspaces_buildings.registry import BUILDINGS, building_mesh, building_of, building_rooms
+from soundspaces_buildings.shell import Room
+from soundspaces_buildings.solids import Solid, inset, moved, triangles
+from soundspaces_buildings.walkway import inside as inside_polygon
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.generate.buildings.data import furniture, own_materials
-from soundspaces_sim.scene.generate.buildings.furnish import Floor
-from soundspaces_sim.scene.generate.buildings.registry import (
-    BUILDINGS,
-    building_mesh,
-    building_of,
-    building_rooms,
-)
-from soundspaces_sim.scene.generate.buildings.shell import Room
-from soundspaces_sim.scene.generate.buildings.solids import Solid, inset, moved, triangles
-from soundspaces_sim.scene.generate.buildings.walkway import inside as inside_polygon
+from soundspaces_sim.scene.formats import buildings
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.labels import find_material, load_labels
 from soundspaces_sim.scene.materials import stack_materials
@@ -52,6 +48,14 @@ def digest(mesh: LabelledMesh) -> str:
 def test_a_number_is_a_building(kind: str) -> None:
     assert digest(building_mesh(kind, 3)) == DIGESTS[kind], f"a new mesh needs a new version of '{kind}'"
     assert digest(building_mesh(kind, 4)) != DIGESTS[kind]
+
+
+def test_the_core_names_all_types(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert set(buildings.TYPES) == set(BUILDINGS)
+    absent = buildings._READER._replace(target="not_installed_here:read")
+    monkeypatch.setattr(buildings, "_READER", absent)
+    with pytest.raises(ss.SceneError, match=r"home-7: .*pip install \./neighbours/buildings"):
+        ss.load_scene("home-7")
 
 
 def test_names_of_buildings() -> None:

@@ -12,12 +12,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.generate.buildings import homes, large, single
-from soundspaces_sim.scene.generate.buildings.data import own_materials
-from soundspaces_sim.scene.generate.buildings.shell import Building, Room
-from soundspaces_sim.scene.generate.buildings.solids import solids_mesh
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_buildings import homes, large, single
+from soundspaces_buildings.data import own_materials
+from soundspaces_buildings.shell import Building, Room
+from soundspaces_buildings.solids import solids_mesh
+from soundspaces_sim import SceneError
+from soundspaces_sim.parts import LabelledMesh
 
 _STREAM = 0xB01D  # keeps buildings apart from other uses of the same seed
 _TRIES = 200
@@ -78,13 +78,9 @@ def _drawn(kind: str, number: int) -> Building:
     )
 
 
-def _read(source: str) -> LabelledMesh:
-    kind, number = building_of(source) or ("home", -1)
-    return building_mesh(kind, number)
-
-
-FORMAT = SceneFormat(
-    ", ".join(f"'{name}-<number>'" for name in BUILDINGS),
-    lambda source: building_of(source) is not None,
-    _read,
-)
+def read_building(source: str) -> LabelledMesh:
+    """The building that a name says, ``home-7``. Raises `SceneError`."""
+    found = building_of(source)
+    if found is None:
+        raise SceneError(f"{source}: expected <type>-<number> with a type of {', '.join(BUILDINGS)}")
+    return building_mesh(*found)

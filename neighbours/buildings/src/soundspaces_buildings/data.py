@@ -12,8 +12,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.solids import Solid, box
-from soundspaces_sim.scene.materials import MaterialTable, load_materials
+from soundspaces_buildings.solids import Solid, box
+from soundspaces_sim import MaterialTable
+from soundspaces_sim.parts import load_materials
 
 OPEN_HEAD = 1.53  # m: what begins higher is walked under
 STEP = 0.2  # m: what ends lower is stepped on

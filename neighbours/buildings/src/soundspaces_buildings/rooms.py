@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soundspaces_sim.scene.generate.buildings.furnish import Floor, furnish, overlap, rectangle
-from soundspaces_sim.scene.generate.buildings.shell import HALF, Opening, Room, shell
-from soundspaces_sim.scene.generate.buildings.solids import Solid, prism
-from soundspaces_sim.scene.generate.buildings.walkway import inside
+from soundspaces_buildings.furnish import Floor, furnish, overlap, rectangle
+from soundspaces_buildings.shell import HALF, Opening, Room, shell
+from soundspaces_buildings.solids import Solid, prism
+from soundspaces_buildings.walkway import inside
 
 DOOR_HEAD = 2.05  # m, height
 _LEAF = 0.04  # m

@@ -1,1 +1,0 @@
-"""Generated buildings: shells of rooms with openings, furniture as data, and a file per type of building."""
