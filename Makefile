@@ -77,7 +77,7 @@ $(VENV)/.engine-local: $(VENV)/.installed
 	@touch $@
 
 $(VENV)/.engine-%: $(VENV)/.installed
-	$(INSTALL) -e ".[$*]"
+	$(INSTALL) -e "./neighbours/clusters[$*]"
 	@touch $@
 
 $(VENV)/.navigates: $(VENV)/.installed

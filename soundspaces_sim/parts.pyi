@@ -2,6 +2,22 @@
 
 from .build.engines import (
     ENGINES,
+    Engine,
+)
+from .build.engines import (
+    Options as EngineOptions,
+)
+from .build.engines import (
+    Task as TileTask,
+)
+from .build.engines import (
+    Watch as TaskWatch,
+)
+from .build.engines import (
+    refuse as refuse_task,
+)
+from .build.engines.capacity import (
+    choose_shape,
 )
 from .build.forecast import (
     forecast,
@@ -16,6 +32,12 @@ from .build.warm_up import (
 )
 from .build.warm_up import (
     start as compile_ahead,
+)
+from .build.worker import (
+    Done as TaskDone,
+)
+from .build.worker import (
+    work as work_tile,
 )
 from .cli.console import (
     DAMAGED,
@@ -172,6 +194,8 @@ from .core.numerics.vec3 import (
     subtract as subtract_vectors,
 )
 from .core.processes import (
+    end_with,
+    isolated_children,
     worker_pool,
 )
 from .core.profile import (
@@ -803,6 +827,8 @@ __all__ = [
     "DatasetConfig",
     "EarMode",
     "EchogramShard",
+    "Engine",
+    "EngineOptions",
     "EnvSetting",
     "EpisodeError",
     "EpisodeMaker",
@@ -839,7 +865,10 @@ __all__ = [
     "SimulatedPaths",
     "SpecularPlanes",
     "TableEntry",
+    "TaskDone",
     "TaskName",
+    "TaskWatch",
+    "TileTask",
     "Vec3",
     "WarmUp",
     "WaveField",
@@ -886,6 +915,7 @@ __all__ = [
     "check_renderer_option",
     "check_scene",
     "choose_pairs",
+    "choose_shape",
     "closedness",
     "closure_error_db",
     "code_target",
@@ -912,6 +942,7 @@ __all__ = [
     "drawn_size",
     "echograms_measures",
     "encode_echograms",
+    "end_with",
     "energy_measures",
     "entry_names",
     "env_options",
@@ -942,6 +973,7 @@ __all__ = [
     "in_processes",
     "install_hint",
     "is_valid_shard",
+    "isolated_children",
     "join_frames",
     "kernel",
     "kernel_part",
@@ -1017,6 +1049,7 @@ __all__ = [
     "read_splits",
     "read_text",
     "reflection_point",
+    "refuse_task",
     "reported",
     "require_within",
     "response_length",
@@ -1073,6 +1106,7 @@ __all__ = [
     "window_strength",
     "with_notes",
     "without_arrivals",
+    "work_tile",
     "worker_pool",
     "write_collection",
     "write_page",

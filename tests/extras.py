@@ -66,7 +66,12 @@ GROUPS = {
         ("neighbours/explorer/tests/test_page.py", "neighbours/explorer/tests/test_firefox.py"),
         check=check_browser,
     ),
-    "ray": Group("ray", ("tests/build/test_engines.py::test_ray_here",), slow=True),
+    "ray": Group(
+        "",
+        ("neighbours/clusters/tests/test_clusters.py::test_ray_here",),
+        packages=("ray>=2.45",),
+        slow=True,
+    ),
     "learning": Group(
         "torch",
         (

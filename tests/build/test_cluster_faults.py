@@ -5,17 +5,14 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
-import psutil
 import pytest
 
 import soundspaces_sim as ss
@@ -24,7 +21,7 @@ from soundspaces_sim.build.engines import ENGINES, Engine, Options, Task, Watch
 from soundspaces_sim.build.wait import wait_for
 from soundspaces_sim.build.worker import work
 from soundspaces_sim.core.registry import Entry
-from tests.build.test_engines import hashes, signal_one
+from tests.build.test_engines import hashes
 from tests.conftest import small_job
 from tests.marks import ci_slow
 
@@ -250,78 +247,3 @@ def test_a_tile_of_a_job_that_somebody_finished(dataset_folder: Path) -> None:
 
 
 # Dask: its scheduler, and a worker that hangs
-
-
-def _dask(*arguments: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "dask", *arguments], cwd=ROOT, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_the_scheduler_is_lost_and_the_command_run_again(tmp_path: Path, small_scene: ss.Scene) -> None:
-    pytest.importorskip("distributed")
-    where = tmp_path / "scheduler.json"
-    known = ("--scheduler-file", str(where))
-    scheduler = _dask("scheduler", "--port", "0", "--no-dashboard", *known)
-    worker = _dask("worker", "--nthreads", "1", "--no-dashboard", "--no-nanny", *known)
-    options = {"scheduler_file": str(where)}
-    try:
-        assert wait_for(where.is_file, tmp_path, 60.0)
-
-        def lose() -> None:
-            wait_for(lambda: bool(list(tmp_path.glob("out/two_rooms/s*.h5"))), tmp_path, 120.0)
-            scheduler.kill()
-
-        thread = threading.Thread(target=lose)
-        thread.start()
-        with pytest.raises(ss.DatasetError, match=r"(is lost|dropped it).*finished shards are safe"):
-            build_dataset(
-                small_scene, tmp_path / "out", small_job(tile=1), engine="dask", options=options
-            )
-        thread.join()
-        assert list(tmp_path.glob("out/two_rooms/s*.h5"))
-        with pytest.raises(ss.ConfigError, match="no scheduler answers"):
-            build_dataset(
-                small_scene,
-                tmp_path / "out",
-                small_job(tile=1),
-                engine="dask",
-                options={**options, "connect_s": 2},
-            )
-        result = build_dataset(small_scene, tmp_path / "out", small_job(tile=1))
-        alone = build_dataset(small_scene, tmp_path / "alone", small_job(tile=1))
-        assert 0 < result.built < result.shards and hashes(result.folder) == hashes(alone.folder)
-    finally:
-        for process in (scheduler, worker):
-            process.kill()
-            process.wait()
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_a_worker_that_hangs_does_not_hold_up_the_job(tmp_path: Path, small_scene: ss.Scene) -> None:
-    """Its tiles are given out a second time; it goes on after the job is done, and changes nothing."""
-    pytest.importorskip("distributed")
-    folder = tmp_path / "two_rooms"
-    stopper = signal_one("spawn_main", folder, signal.SIGSTOP)
-    alone = build_dataset(small_scene, tmp_path / "alone", small_job(tile=2))
-
-    def wake() -> None:
-        wait_for(lambda: len(list(folder.glob("s*.h5"))) == alone.shards, folder, 120.0)
-        for child in psutil.Process().children(recursive=True):
-            with suppress(psutil.Error):
-                if child.status() == psutil.STATUS_STOPPED:
-                    os.kill(child.pid, signal.SIGCONT)
-
-    waker = threading.Thread(target=wake)
-    waker.start()
-    result = build_dataset(
-        small_scene, tmp_path, small_job(tile=2), engine="dask",
-        options={"workers": 2, "threads": 1, "again_s": 3.0},
-    )  # fmt: skip
-    stopper.join()
-    waker.join()
-    assert hashes(result.folder) == hashes(alone.folder)

@@ -11,16 +11,14 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.build import BuildProgress, build_dataset
-from soundspaces_sim.build.engines import ENGINES, Task, Watch, find_engine, read_options
+from soundspaces_sim.build.engines import Task, Watch
 from soundspaces_sim.build.engines.capacity import PROCESS_BYTES, choose_shape
-from soundspaces_sim.build.worker import Done
 from soundspaces_sim.core.memory import free_memory
 from tests.conftest import small_job
 from tests.marks import ci_slow
@@ -109,45 +107,13 @@ def test_memory_is_that_of_the_control_group(tmp_path: Path) -> None:
         ),
         ("local", "processes", r"--engine-option processes: expected key=value"),
         ("local", "processes=0", r"processes: expected at least 1, got 0"),
-        ("dask", "adress=tcp://a:1", r"no option 'adress'; its options are address"),
-        ("dask", "address=tcp://127.0.0.1:1", r"no scheduler answers at tcp://127.0.0.1:1"),
-        ("slurm", "cluster=pbs", r"option cluster=pbs: invalid enum value 'pbs'"),
-        ("slurm", "timeout_min=-1", r"timeout_min=-1: expected more than 0"),
-        ("slurm", "partition=cpu", r"no sbatch; run this on a cluster's login node"),
     ],
 )
 def test_options_are_checked(
-    tmp_path: Path, small_scene: ss.Scene, engine: str, option: str, message: str,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    if engine != "local":
-        pytest.importorskip({"dask": "distributed", "slurm": "submitit"}[engine])
-    there = None if "sbatch" in message else "/usr/bin/sbatch"
-    monkeypatch.setattr("shutil.which", lambda _: there)
-    options = (
-        [option]
-        if "connect" in option
-        else [option, *(["connect_s=1"] if "tcp://127" in option else [])]
-    )
+    tmp_path: Path, small_scene: ss.Scene, engine: str, option: str, message: str
+) -> None:
     with pytest.raises(ss.ConfigError, match=message):
-        build_dataset(small_scene, tmp_path, small_job(), engine=engine, options=options)
-
-
-def test_an_engine_whose_extra_is_missing_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, module in (("dask", "dask"), ("slurm", "submitit"), ("ray", "ray")):
-        with monkeypatch.context() as patch:
-            patch.delitem(sys.modules, ENGINES[name].target.partition(":")[0], raising=False)
-            patch.setitem(sys.modules, module, None)
-            with pytest.raises(ss.ConfigError, match=rf"pip install -e '\.\[{name}\]'"):
-                find_engine(name)
-
-
-def test_options_are_read_as_texts_and_as_values() -> None:
-    pytest.importorskip("submitit")
-    slurm = find_engine("slurm")
-    one: Any = read_options("slurm", slurm, ["mem_gb=2.5", "wait=false", "partition=short"])
-    assert one == read_options("slurm", slurm, {"mem_gb": 2.5, "wait": False, "partition": "short"})
-    assert (one.mem_gb, one.wait, one.partition, one.account) == (2.5, False, "short", None)
+        build_dataset(small_scene, tmp_path, small_job(), engine=engine, options=[option])
 
 
 @ci_slow
@@ -215,64 +181,3 @@ def test_a_tile_that_kills_every_process_ends_the_job() -> None:
     assert "DatasetError" in done.stdout and "killed 3 times (out of memory?)" in done.stdout, (
         done.stderr
     )
-
-
-@ci_slow
-@pytest.mark.filterwarnings("ignore")
-def test_dask_with_three_workers_one_of_which_is_killed(
-    tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]
-) -> None:
-    pytest.importorskip("distributed")
-    killer = signal_one("spawn_main", tmp_path / "two_rooms", signal.SIGKILL)
-    result = build_dataset(
-        small_scene, tmp_path, small_job(tile=2), engine="dask", options={"workers": 3, "threads": 1}
-    )
-    killer.join()
-    assert hashes(result.folder) == whole
-
-
-begun: list[int] = []
-
-
-def note(_folder: str, number: int, _threads: int) -> Done:
-    begun.append(number)
-    return Done(1, 0.0)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_dask_begins_in_the_order_of_the_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
-    distributed = pytest.importorskip("distributed")
-    from soundspaces_sim.build.engines import dask as engine
-
-    monkeypatch.setattr(engine, "work", note)
-    begun.clear()
-    order = [7, 3, 11, 0, 5, 2, 10, 1, 9, 4, 8, 6]
-    with distributed.Client(
-        processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None
-    ) as client:
-        engine._Run(client, 1, 60.0, Watch()).do([Task(Path("there"), k) for k in order])
-    assert begun == order
-
-
-@ci_slow
-@pytest.mark.filterwarnings("ignore")
-def test_slurm_shares_run_as_submitit_runs_them_here(
-    tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]
-) -> None:
-    pytest.importorskip("submitit")
-    options = {"cluster": "local", "elements": 2, "cpus_per_task": 1, "logs": str(tmp_path / "logs")}
-    result = build_dataset(
-        small_scene, tmp_path / "out", small_job(tile=2), engine="slurm", options=options
-    )
-    assert hashes(result.folder) == whole
-    assert len(list((tmp_path / "logs").glob("*.out"))) == 2  # a log of each
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_ray_here(tmp_path: Path, small_scene: ss.Scene, whole: dict[str, str]) -> None:
-    pytest.importorskip("ray")
-    result = build_dataset(
-        small_scene, tmp_path, small_job(tile=2), engine="ray", options={"threads": 1}
-    )
-    assert hashes(result.folder) == whole

@@ -37,18 +37,6 @@ from soundspaces_sim.core.processes import worker_pool
 with worker_pool(2) as pool:
     assert list(pool.map(len, ["a", "bb", "ccc"])) == [1, 2, 3]
 """,
-    "Dask": """
-from soundspaces_sim.build.engines.dask import DaskOptions, _client
-if __name__ == "__main__":
-    with _client(DaskOptions(workers=1), 1, 1) as (client, _):
-        assert client.submit(len, "abc").result() == 3
-""",
-    "submitit": """
-from soundspaces_sim.build.engines.slurm import Share, SlurmOptions, Task, _executor, _submit
-executor = _executor([Task(Path("absent"), 0)], SlurmOptions(cluster="local", logs="logs"))
-(job,) = _submit(executor, [()], 1, None)
-assert job.result() == []
-""",
     "IFC": """
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.formats.ifc import read_ifc
@@ -63,21 +51,26 @@ except SceneError as error:
 
 @pytest.mark.parametrize("kind", CHILDREN)
 def test_a_stranger_s_module_is_not_run(kind: str, tmp_path: Path) -> None:
-    here, packages = tmp_path / "files", tmp_path / "packages"
+    check_isolated(CHILDREN[kind], tmp_path)
+
+
+def check_isolated(code: str, folder: Path, *sources: Path) -> None:
+    """Run code that starts processes beside files with modules' names; `sources`: further places of modules."""
+    here, packages = folder / "files", folder / "packages"
     here.mkdir()
     packages.mkdir()
     (packages / "ifcopenshell.py").write_text("raise RuntimeError('this ifcopenshell reads nothing')")
     for name in _NAMES:
-        (here / f"{name}.py").write_text(f"open({str(tmp_path / 'was-run')!r}, 'a').write(__name__)")
-    script = tmp_path / "script.py"
-    script.write_text("from pathlib import Path\n" + CHILDREN[kind])
-    path = os.pathsep.join([str(Path(soundspaces_sim.__file__).parents[1]), str(packages)])
-    env = {**os.environ, "PYTHONPATH": path}
+        (here / f"{name}.py").write_text(f"open({str(folder / 'was-run')!r}, 'a').write(__name__)")
+    script = folder / "script.py"
+    script.write_text("from pathlib import Path\n" + code)
+    path = [Path(soundspaces_sim.__file__).parents[1], *sources, packages]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))}
     env.pop("PYTHONSAFEPATH", None)
     done = subprocess.run(
         [sys.executable, script], cwd=here, env=env, capture_output=True, text=True, timeout=120
     )
-    ran = tmp_path / "was-run"
+    ran = folder / "was-run"
     assert not ran.exists(), ran.read_text()
     assert done.returncode == 0, done.stderr
 

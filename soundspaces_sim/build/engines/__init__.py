@@ -1,7 +1,7 @@
 """Engines run the tiles of a job.
 
-An engine is a record `ENGINE` of a module here: the options that it takes, and a function
-``run(tasks, options, cores, watch)``. It calls `build.worker.work` once per task, anywhere
+An engine is a record `ENGINE` of a module, here or in neighbours/clusters: the options that it takes, and a
+function ``run(tasks, options, cores, watch)``. It calls `build.worker.work` once per task, anywhere
 and in any order, and returns when all are done; it knows nothing of what a tile is. A new one is a file here and
 a line below.
 """
@@ -16,15 +16,15 @@ from typing import Any, NoReturn
 import msgspec
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.core.registry import Entry, find
 
-_AT = "soundspaces_sim.build.engines"
 ENGINES: Mapping[str, Entry] = {
-    "local": Entry(f"{_AT}.local:ENGINE", "threads and processes of this machine"),
-    "dask": Entry(f"{_AT}.dask:ENGINE", "workers of a Dask scheduler, or processes here"),
-    "slurm": Entry(f"{_AT}.slurm:ENGINE", "job arrays of a SLURM cluster, by submitit"),
-    "ray": Entry(f"{_AT}.ray:ENGINE", "workers of a Ray cluster, or processes here"),
+    "local": Entry(
+        "soundspaces_sim.build.engines.local:ENGINE", "threads and processes of this machine"
+    ),
+    "dask": Entry("soundspaces_clusters.dask:ENGINE", "workers of a Dask scheduler, or processes here"),
+    "slurm": Entry("soundspaces_clusters.slurm:ENGINE", "job arrays of a SLURM cluster, by submitit"),
+    "ray": Entry("soundspaces_clusters.ray:ENGINE", "workers of a Ray cluster, or processes here"),
 }
 
 
@@ -83,12 +83,13 @@ class Engine:
 
 
 def find_engine(name: str) -> Engine:
-    """The engine of that name. Raises `ConfigError`, also where its extra is not installed."""
+    """The engine of that name. Raises `ConfigError`, also where what it needs is not installed."""
     try:
         engine: Engine = find("engine", ENGINES, name)
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"engine {name}: needs {error.name}, which is not installed: {install_hint(name)}"
+            f"engine {name}: needs {error.name}, which is not installed; in a clone: "
+            f".venv/bin/pip install './neighbours/clusters[{name}]'"
         ) from error
     return engine
 

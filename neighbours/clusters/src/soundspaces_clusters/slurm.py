@@ -21,12 +21,16 @@ import submitit
 from submitit.core.utils import FailedJobError, UncompletedJobError
 from submitit.helpers import Checkpointable
 
-from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
-from soundspaces_sim.build.worker import Done, work
-from soundspaces_sim.core.errors import ConfigError, DatasetError, SoundSpacesSimError
-from soundspaces_sim.core.interrupts import check
-from soundspaces_sim.core.processes import end_with, isolated_children
-from soundspaces_sim.core.profile import adopt
+from soundspaces_sim import ConfigError, DatasetError, SoundSpacesSimError
+from soundspaces_sim.parts import Engine, end_with, isolated_children
+from soundspaces_sim.parts import EngineOptions as Options
+from soundspaces_sim.parts import TaskDone as Done
+from soundspaces_sim.parts import TaskWatch as Watch
+from soundspaces_sim.parts import TileTask as Task
+from soundspaces_sim.parts import adopt_profile as adopt
+from soundspaces_sim.parts import check_interrupts as check
+from soundspaces_sim.parts import refuse_task as refuse
+from soundspaces_sim.parts import work_tile as work
 
 _log = logging.getLogger(__name__)
 logging.getLogger("submitit").setLevel(

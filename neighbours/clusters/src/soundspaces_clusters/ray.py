@@ -8,14 +8,15 @@ from collections.abc import Sequence
 
 import ray
 
-from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
-from soundspaces_sim.build.engines.capacity import choose_shape
-from soundspaces_sim.build.worker import work
-from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.interrupts import check
-from soundspaces_sim.core.memory import free_memory
-from soundspaces_sim.core.processes import isolated_children
-from soundspaces_sim.core.profile import adopt
+from soundspaces_sim import ConfigError, DatasetError
+from soundspaces_sim.parts import Engine, choose_shape, free_memory, isolated_children
+from soundspaces_sim.parts import EngineOptions as Options
+from soundspaces_sim.parts import TaskWatch as Watch
+from soundspaces_sim.parts import TileTask as Task
+from soundspaces_sim.parts import adopt_profile as adopt
+from soundspaces_sim.parts import check_interrupts as check
+from soundspaces_sim.parts import refuse_task as refuse
+from soundspaces_sim.parts import work_tile as work
 
 _TRIES = 3
 _LOOK_S = 0.5
