@@ -238,6 +238,42 @@ def test_encoders_learn_where_the_goal_is(data: NavData) -> None:
     assert any(not torch.equal(before[k], after[k]) for k in before if k.startswith("encoders"))
 
 
+@pytest.mark.parametrize("name", ["AG", "PG", "APG", "AG-intensity", "AG-blind"])
+def test_every_kind_of_agent_is_trained(seen_data: NavData, tmp_path: Path, name: str) -> None:
+    """With its sensors and all that `small` has, the encoder of loudness and a warm start included, which teaches
+    that encoder, too; the agent then acts."""
+    from soundspaces_agents import learn
+    from soundspaces_agents.experiments import VARIANTS
+    from soundspaces_agents.learn import train
+
+    variant = VARIANTS[name]
+    run = learn.Run(name, variant.task, variant.sensors)
+    net = replace(TINY.net, loudness=8)
+    config = replace(TINY, net=net, warm_batches=3, warm_batch=32, finetune=1)
+    taught: list[Any] = []
+    before = train.warm_start
+
+    def watched(policy: Any, *arguments: Any) -> dict[str, float]:
+        kept = {k: v.clone() for k, v in policy.state_dict().items()}
+        found = before(policy, *arguments)
+        after = policy.state_dict()
+        taught.extend(k.split(".")[0] for k in kept if not torch.equal(kept[k], after[k]))
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train, "warm_start", watched)
+        path = learn.train_agent(run, config, seen_data.root, tmp_path, 0)
+    assert set(taught) == {"encoders"} | ({"loudness"} if "intensity" in variant.sensors else set())
+    agent = learn.load_trained(path, "cpu")
+    env = AudioNavEnv(
+        seen_data, task=variant.task, sensors=variant.sensors, depth_size=TINY.depth_size, max_steps=9
+    )
+    observation, _ = env.reset(seed=0)
+    assert env.state is not None
+    agent.reset(env.state, 0)
+    assert agent.act(observation) in range(4)
+
+
 @pytest.mark.parametrize("bootstrap", [False, True])
 def test_advantages_are_sums_of_discounted_errors(bootstrap: bool) -> None:
     """A_t = Σ_k (γ λ)^k δ_{t+k} within the episode, written out; the last state of a cut one has a value."""

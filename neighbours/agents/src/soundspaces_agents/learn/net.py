@@ -91,12 +91,9 @@ class Policy(nn.Module):
         self.loudness = (
             LoudnessEncoder(config.loudness) if config.loudness and "intensity" in shapes else None
         )  # no entry of `encoders`: it learns in every update
-        self.vectors = [
-            s for s in _VECTORS if s in shapes and not (s == "intensity" and self.loudness is not None)
-        ]
+        self.vectors = [s for s in _VECTORS if s in shapes]
         size = config.features * len(self.encoders) + MOVES * config.moves
-        size += config.loudness * (self.loudness is not None)
-        size += sum(3 if config.tidy and s == POINTGOAL else _VECTORS[s] for s in self.vectors)
+        size += sum(self._width(s) for s in self.vectors)
         self.gru = nn.GRU(size, config.hidden)
         self.actor, self.critic = nn.Linear(config.hidden, ACTIONS), nn.Linear(config.hidden, 1)
         for name, weight in self.gru.named_parameters():
@@ -109,6 +106,12 @@ class Policy(nn.Module):
             nn.init.zeros_(layer.bias)
         with torch.no_grad():
             self.actor.bias[STOP] = config.stop_bias
+
+    def _width(self, vector: str) -> int:
+        """Numbers that the memory is fed of a sensor without pictures."""
+        if vector == "intensity" and self.loudness is not None:
+            return self.config.loudness
+        return 3 if self.config.tidy and vector == POINTGOAL else _VECTORS[vector]
 
     def start(self, count: int) -> Tensor:
         """Hidden states of `count` agents that remember nothing."""
@@ -124,11 +127,11 @@ class Policy(nn.Module):
             made[name] if name in made else encoder(observations[name])
             for name, encoder in self.encoders.items()
         ]
-        if self.loudness is not None:
-            parts.append(self.loudness(observations["intensity"]))
         for name in self.vectors:
             values = observations[name]
-            if self.config.tidy and name == POINTGOAL:
+            if name == "intensity" and self.loudness is not None:
+                values = self.loudness(values)
+            elif self.config.tidy and name == POINTGOAL:
                 angle = values[:, 1:]
                 values = torch.cat([values[:, :1] / 10.0, torch.cos(angle), torch.sin(angle)], dim=1)
             elif self.config.tidy:

@@ -41,6 +41,8 @@ def warm_start(
     states = states[table.targets_known(states)]
     heads = _Heads(policy).to(device)
     parameters = [*policy.encoders.parameters(), *heads.parameters()]
+    if policy.loudness is not None:
+        parameters += policy.loudness.parameters()
     optimizer = torch.optim.Adam(parameters, config.warm_rate)
     total = config.warm_batches
     said: list[tuple[float, float]] = []
