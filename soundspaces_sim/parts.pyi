@@ -297,6 +297,9 @@ from .dataset.room_parameters.registry import (
     PARAMETERS,
     check_parameters,
 )
+from .dataset.room_parameters.table import (
+    ParameterTable,
+)
 from .dataset.sampling import (
     as_pairs,
     check_pairs,
@@ -319,6 +322,9 @@ from .echogram.echogram import (
 )
 from .echogram.echogram import (
     EDGE_MIRROR as KIND_EDGE_MIRROR,
+)
+from .echogram.echogram import (
+    KINDS as ARRIVAL_KINDS,
 )
 from .echogram.echogram import (
     MIRRORS as KIND_MIRRORS,
@@ -760,6 +766,7 @@ from .viz.report import (
 )
 
 __all__ = [
+    "ARRIVAL_KINDS",
     "BASELINES",
     "BIN_S",
     "CAMERA_HEIGHT",
@@ -852,6 +859,7 @@ __all__ = [
     "Method",
     "Model",
     "Observation",
+    "ParameterTable",
     "PlyElements",
     "PlyLists",
     "PreparedScene",

@@ -26,11 +26,14 @@ from soundspaces_sim.cli.options import (
     speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.core.registry import check_name, names
+from soundspaces_sim.core.registry import Entry, check_name, names, of_neighbour
 from soundspaces_sim.dataset.room_parameters.registry import check_parameters
 from soundspaces_sim.viz.registry import PAGES, check_width
 
 _HTML = (".html", ".htm")
+_RECEIVER_PAGE = Entry(
+    "soundspaces_receiver_page:write_receiver_report", "a page on one receiver", "receiver_page"
+)
 
 
 def plot(
@@ -181,6 +184,7 @@ def _report_receiver(
 ) -> None:
     if out is not None:
         check_file(out, _HTML)
+    write = of_neighbour("report --receiver", _RECEIVER_PAGE)
     with ss.open_dataset(dataset, hrtf=hrtf) as ds:
         chosen = source
         if chosen is None:
@@ -189,5 +193,5 @@ def _report_receiver(
         if chosen == receiver and source is None:
             raise ConfigError(f"--receiver {receiver} is the default source: name another with --source")
         path = output_file(out, f"receiver_{receiver}_source_{chosen}.html", dataset, _HTML, replace)
-        viz.write_receiver_report(ds, chosen, receiver, path, speech)
+        write(ds, chosen, receiver, path, speech)
     print(f"Wrote {path}")

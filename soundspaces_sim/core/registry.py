@@ -6,6 +6,7 @@ A table lies in the room of its kind (renderers, exporters, pages, engines) and 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from importlib import import_module
 from importlib.util import find_spec
@@ -38,7 +39,8 @@ def find(kind: str, table: Mapping[str, Entry], name: str) -> Any:
 
 def of_neighbour(what: str, entry: Entry) -> Any:
     """What a distribution of its own has. Raises `ConfigError`, which says how `what` is installed."""
-    if find_spec(entry.target.partition(".")[0]) is None:
+    package = re.split("[.:]", entry.target)[0]
+    if find_spec(package) is None:
         raise ConfigError(
             f"{what}: not installed; in a clone: .venv/bin/pip install ./neighbours/{entry.neighbour}"
         )

@@ -7,7 +7,6 @@ from .lobes import draw_lobes, lobe
 from .plan import draw_map, draw_plan
 from .plot_data import dataset_subject, default_source
 from .printed import as_printed, save_printed
-from .receiver_report import write_receiver_report
 from .report import write_report
 from .response import draw_spectrogram, draw_waveform
 
@@ -27,6 +26,5 @@ __all__ = [
     "listening_folder",
     "lobe",
     "save_printed",
-    "write_receiver_report",
     "write_report",
 ]

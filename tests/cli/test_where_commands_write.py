@@ -38,7 +38,6 @@ def test_nothing_is_written_into_a_dataset(dataset: Path, command: tuple[str, ..
         (("table", "room"), "pairs.csv"),
         (("table", "room", "--octaves", "--parameters", "c80", "--source", "0"), "parameters.csv"),
         (("plot", "room", "--what", "map"), "*_map.png"),
-        (("report", "room", "--receiver", "1", "--source", "0"), "receiver_1_source_0.html"),
     ],
 )
 def test_a_datasets_files_go_beside_it_and_are_not_replaced_unasked(

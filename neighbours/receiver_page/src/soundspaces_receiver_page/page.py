@@ -11,17 +11,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from soundspaces_sim.core.errors import PairIndexError
-from soundspaces_sim.core.version import __version__
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
-from soundspaces_sim.dataset.room_parameters.table import ParameterTable
-from soundspaces_sim.echogram.echogram import EDGE, KINDS, MIRRORS, Arrival, Echogram
-from soundspaces_sim.echogram.in_bands import in_bands
-from soundspaces_sim.echogram.parameters.speech import Speech
-from soundspaces_sim.viz.decay import draw_decay
-from soundspaces_sim.viz.html_page import write_page
-from soundspaces_sim.viz.report import png
+from soundspaces_sim import Arrival, Echogram, PairIndexError, RirDataset, Speech, __version__, in_bands
+from soundspaces_sim.parts import ARRIVAL_KINDS as KINDS
+from soundspaces_sim.parts import KIND_EDGE as EDGE
+from soundspaces_sim.parts import KIND_MIRRORS as MIRRORS
+from soundspaces_sim.parts import PARAMETERS, ParameterTable, png, write_page
+from soundspaces_sim.viz import draw_decay
 
 _BIN_S = 0.002
 _SHOWN_S = 0.2  # of the echogram, after the first sound
