@@ -130,7 +130,7 @@ pytest: $(VENV)/.tested ## Tests alone, on compiled kernels
 	$(BIN)/python -m pytest $(ARGS)
 
 test-slow: $(VENV)/.tested ## Long physics runs
-	$(BIN)/python -m pytest -m slow $(ARGS)
+	$(BIN)/python -m pytest -m slow $(if $(ARGS),$(ARGS),tests neighbours)
 
 test-lowest: $(VENV)/.tested ## A small dataset by the lowest versions that pyproject.toml allows, read by the newest and back, in .venv-lowest
 	$(BIN)/python -m tests.lowest $(ARGS)
