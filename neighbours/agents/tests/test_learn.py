@@ -245,17 +245,16 @@ def test_every_kind_of_agent_is_trained(seen_data: NavData, tmp_path: Path, name
     from soundspaces_agents import learn
     from soundspaces_agents.experiments import VARIANTS
     from soundspaces_agents.learn import train
+    from soundspaces_agents.learn.warm_start import warm_start
 
     variant = VARIANTS[name]
     run = learn.Run(name, variant.task, variant.sensors)
     net = replace(TINY.net, loudness=8)
     config = replace(TINY, net=net, warm_batches=3, warm_batch=32, finetune=1)
     taught: list[Any] = []
-    before = train.warm_start
-
     def watched(policy: Any, *arguments: Any) -> dict[str, float]:
         kept = {k: v.clone() for k, v in policy.state_dict().items()}
-        found = before(policy, *arguments)
+        found = warm_start(policy, *arguments)
         after = policy.state_dict()
         taught.extend(k.split(".")[0] for k in kept if not torch.equal(kept[k], after[k]))
         return found
