@@ -79,6 +79,8 @@ from .core.interrupts import (
     check as check_interrupts,
 )
 from .core.io.files import (
+    cache_root,
+    file_sha256,
     make_folder,
 )
 from .core.io.files import (
@@ -107,6 +109,7 @@ from .core.io.sound import (
     read_sound,
 )
 from .core.io.untrusted import (
+    MOST_JSON,
     read_bytes,
     read_json,
     read_text,
@@ -193,6 +196,12 @@ from .core.numerics.vec3 import (
 from .core.numerics.vec3 import (
     subtract as subtract_vectors,
 )
+from .core.platforms import (
+    exclusive as exclusive_file,
+)
+from .core.platforms import (
+    rename_open,
+)
 from .core.processes import (
     end_with,
     isolated_children,
@@ -271,6 +280,8 @@ from .dataset.format.manifest import (
     NAME as MANIFEST_NAME,
 )
 from .dataset.format.manifest import (
+    FileEntry,
+    ShardEntry,
     read_manifest,
 )
 from .dataset.format.shard import (
@@ -805,6 +816,7 @@ __all__ = [
     "MOST_BANDS",
     "MOST_DB",
     "MOST_GAIN",
+    "MOST_JSON",
     "MOST_RATIO",
     "NEAR_M",
     "PARAMETERS",
@@ -844,6 +856,7 @@ __all__ = [
     "Equalisation",
     "ExportPlan",
     "ExportProgress",
+    "FileEntry",
     "FloorColumns",
     "Geometry",
     "Hrtf",
@@ -870,6 +883,7 @@ __all__ = [
     "SceneFormat",
     "SensorSuite",
     "Shard",
+    "ShardEntry",
     "SimulatedPaths",
     "SpecularPlanes",
     "TableEntry",
@@ -901,6 +915,7 @@ __all__ = [
     "band_windows",
     "beside_edge",
     "between_windows",
+    "cache_root",
     "cast_ray",
     "center_frequencies",
     "check_degrees",
@@ -954,6 +969,8 @@ __all__ = [
     "energy_measures",
     "entry_names",
     "env_options",
+    "exclusive_file",
+    "file_sha256",
     "files_beside",
     "find_entry",
     "find_floors",
@@ -1058,6 +1075,7 @@ __all__ = [
     "read_text",
     "reflection_point",
     "refuse_task",
+    "rename_open",
     "reported",
     "require_within",
     "response_length",

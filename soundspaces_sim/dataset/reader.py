@@ -520,7 +520,7 @@ def open_dataset(
 ) -> RirDataset:
     """Open a dataset made by `make rirs`; `rate` in Hz and `renderer` (a name of `rendering.renderers`) override
     those of the dataset. `hrtf`: the path of a SOFA file, or `Ears`. A URL (``https://…``, ``s3://…``,
-    ``hf://…``, extra ``remote``) is read as a folder: see `dataset.remote`.
+    ``hf://…``) is read as a folder, by neighbours/remote.
 
     `materials`: other absorption of some materials, for datasets made with `[simulation.materials]`:
     ``{"carpet": 0.6}``, one value per band, ``{"carpet": {125: 0.1, 1000: 0.4}}``, or a `MaterialTable`. Echograms,

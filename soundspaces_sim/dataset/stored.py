@@ -19,6 +19,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import DatasetError, PairIndexError
 from soundspaces_sim.core.platforms import at_fork
+from soundspaces_sim.core.registry import Entry, of_neighbour
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.manifest import Manifest, ShardEntry, read_manifest, rebuild_command
 from soundspaces_sim.dataset.format.schema import Form
@@ -31,7 +32,6 @@ from soundspaces_sim.dataset.materials import (
     changeable,
     furnishing,
 )
-from soundspaces_sim.dataset.remote import Remote
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
@@ -150,6 +150,7 @@ class ShardHandles:
         return shard
 
 
+_REMOTE = Entry("soundspaces_remote.remote:Remote", "a dataset behind a URL", "remote")
 _PAIRS = 8  # whose counts decide the ranges of materials
 
 
@@ -162,7 +163,7 @@ class StoredResponses:
         fetch = None
         self._remote = isinstance(where, str) and "://" in where
         if isinstance(where, str) and "://" in where:
-            remote = Remote(where)
+            remote = of_neighbour(f"{where}: a dataset behind a URL", _REMOTE)(where)
             where, fetch = remote.folder, remote.fetch
         self.path = Path(where)
         self.manifest: Manifest = read_manifest(self.path)

@@ -16,6 +16,7 @@ import pytest
 from scipy.signal import fftconvolve
 
 import soundspaces_sim as ss
+from soundspaces_sim.dataset import stored
 from soundspaces_sim.dataset.format.schema import schema
 from soundspaces_sim.dataset.format.table import write_table
 from soundspaces_sim.echogram.measure_names import MEASURES
@@ -465,3 +466,10 @@ def test_ears(dataset_folder: Path) -> None:
         np.testing.assert_array_equal(again.binaural(0, 3), moved.binaural(0, 3))
     with pytest.raises(ss.ConfigError, match="hrtf: expected the path"):
         ss.open_dataset(dataset_folder, hrtf=3)  # type: ignore[arg-type]
+
+
+def test_a_url_names_the_neighbour_that_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = stored._REMOTE._replace(target="not_installed_here.remote:Remote")
+    monkeypatch.setattr(stored, "_REMOTE", absent)
+    with pytest.raises(ss.ConfigError, match=r"https://a\.org/set: .*pip install \./neighbours/remote"):
+        ss.open_dataset("https://a.org/set")

@@ -7,7 +7,7 @@ which a band-limited pulse rises.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -15,7 +15,6 @@ import scipy
 from soundspaces_rlr.propagation import seen_from
 from soundspaces_rlr.records import ChannelLayout, ChannelLayoutType, Config
 from soundspaces_sim import (
-    Arrivals,
     Echogram,
     SimulationConfig,
     ambisonic_rir,
@@ -30,6 +29,7 @@ from soundspaces_sim.parts import (
     response_length,
     rotation_matrix,
     spherical_harmonics,
+    without_arrivals,
 )
 from soundspaces_sim.parts import PLANE_WAVES as WAVES
 from soundspaces_sim.parts import convert_ambisonics as convert
@@ -77,7 +77,7 @@ def render_group(
     rate = round(config.sample_rate)
     n = response_samples(echogram, config)
     middle = min(range(len(listeners)), key=lambda i: float(np.linalg.norm(listeners[i].offset)))
-    late = _from_onset(_without_arrivals(echogram), _onset(echogram, distance[middle]))
+    late = _from_onset(without_arrivals(echogram), _onset(echogram, distance[middle]))
     out = []
     for ears, metres, tail in zip(
         listeners, distance, _tails(late, listeners, config, n, seed), strict=True
@@ -207,11 +207,6 @@ def _add(out: np.ndarray, echogram: Echogram, direct: np.ndarray, early: np.ndar
     harmonics = np.concatenate([direct, early]) if echogram.direct is not None else early
     responses, starts = _arrival_responses(echogram, rate)
     place(out, responses, starts, np.ascontiguousarray(harmonics, np.float32))
-
-
-def _without_arrivals(echogram: Echogram) -> Echogram:
-    none = Arrivals(*(getattr(echogram.early, f.name)[:0] for f in fields(Arrivals)))
-    return replace(echogram, direct=None, early=none)
 
 
 def _onset(echogram: Echogram, distance: float) -> float:

@@ -18,7 +18,7 @@ from typing import Any
 import aiohttp
 from yarl import URL
 
-from soundspaces_sim.core.errors import DatasetError
+from soundspaces_sim import DatasetError
 
 #: Hosts to which redirects are followed, such as ``cdn.example.org,*.example.net``.
 ALLOWED = "SOUNDSPACES_SIM_REDIRECTS"

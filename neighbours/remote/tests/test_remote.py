@@ -17,7 +17,7 @@ import pytest
 
 import soundspaces_sim as ss
 
-pytest.importorskip("aiohttp", reason="the extra 'remote' is not installed")
+pytest.importorskip("aiohttp", reason="aiohttp is not installed")
 
 
 class _Server(ThreadingHTTPServer):

@@ -18,10 +18,9 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.dataset.reader import RirDataset
 
-pytest.importorskip("aiohttp", reason="the extra 'remote' is not installed")
+pytest.importorskip("aiohttp", reason="aiohttp is not installed")
+from soundspaces_remote import remote, web
 from yarl import URL
-
-from soundspaces_sim.dataset import remote, web
 
 Answer = Callable[["_Handler", bytes, int], None]
 

@@ -1,4 +1,4 @@
-"""Datasets at a distance: read from a URL as from a folder (extra ``remote``: fsspec, aiohttp).
+"""Datasets at a distance: read from a URL as from a folder (by fsspec and aiohttp).
 
 What is needed is fetched whole, when it is first needed, into a cache folder, and from then on read from there:
 the manifest and the floor plan when the dataset is opened, a shard when one of its pairs is. A file is taken
@@ -7,7 +7,7 @@ left is gone on with. If the server cannot be reached, the manifest in the cache
 what was fetched is read.
 
 What a server may cost is bounded: a file by its size in the manifest and by the free space, in time by its size
-(`_LEAST_RATE`), in tries by `_TRIES`; see `dataset.web` for http and https, and docs/threats.md.
+(`_LEAST_RATE`), in tries by `_TRIES`; see `web` for http and https, and docs/threats.md.
 """
 
 from __future__ import annotations
@@ -23,13 +23,20 @@ from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
-from soundspaces_sim import dataset
-from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.core.io.files import cache_root, file_sha256, make_folder, publish
-from soundspaces_sim.core.io.untrusted import MOST_JSON
-from soundspaces_sim.core.platforms import exclusive, rename_open
-from soundspaces_sim.dataset.format.manifest import NAME, FileEntry, ShardEntry, read_manifest
+from soundspaces_sim import ConfigError, DatasetError
+from soundspaces_sim.parts import MANIFEST_NAME as NAME
+from soundspaces_sim.parts import (
+    MOST_JSON,
+    FileEntry,
+    ShardEntry,
+    cache_root,
+    file_sha256,
+    make_folder,
+    read_manifest,
+    rename_open,
+)
+from soundspaces_sim.parts import exclusive_file as exclusive
+from soundspaces_sim.parts import publish_file as publish
 
 _log = logging.getLogger(__name__)
 _TRIES = 5  # of a file, in all
@@ -43,7 +50,7 @@ Entry = ShardEntry | FileEntry
 
 
 class _Place(Protocol):
-    """Where files lie: see `dataset.web.Web`."""
+    """Where files lie: see `web.Web`."""
 
     def read(self, name: str, first: int, most: int, seconds: float, take: Any) -> None: ...
 
@@ -213,7 +220,9 @@ def _place(url: str) -> _Place:
     kind = urlsplit(url).scheme
     try:
         if kind in ("http", "https"):
-            place: _Place = dataset.Web(url)  # needs aiohttp
+            from soundspaces_remote.web import Web  # needs aiohttp
+
+            place: _Place = Web(url)
             return place
         if kind in ("file", "local"):
             raise ValueError("it is on this machine: give its path")
@@ -221,7 +230,9 @@ def _place(url: str) -> _Place:
     except ModuleNotFoundError as error:
         if error.name not in ("fsspec", "aiohttp", "yarl"):
             raise ConfigError(f"{url}: cannot be read here ({error})") from error
-        raise ConfigError(f"{url}: reading from a URL needs fsspec: {install_hint('remote')}") from error
+        raise ConfigError(
+            f"{url}: reading from a URL needs fsspec; in a clone: .venv/bin/pip install ./neighbours/remote"
+        ) from error
     except (ImportError, ValueError) as error:
         raise ConfigError(f"{url}: cannot be read here ({error})") from error
 
