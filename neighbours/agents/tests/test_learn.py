@@ -252,6 +252,7 @@ def test_every_kind_of_agent_is_trained(seen_data: NavData, tmp_path: Path, name
     net = replace(TINY.net, loudness=8)
     config = replace(TINY, net=net, warm_batches=3, warm_batch=32, finetune=1)
     taught: list[Any] = []
+
     def watched(policy: Any, *arguments: Any) -> dict[str, float]:
         kept = {k: v.clone() for k, v in policy.state_dict().items()}
         found = warm_start(policy, *arguments)
