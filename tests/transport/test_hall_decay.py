@@ -50,7 +50,7 @@ def test_a_hall_rings_as_long_as_a_walk_in_numpy(law: str) -> None:
             speed_of_sound=343.0,
             scattering="table",
             reflection=law,
-            diffraction=False,
+            diffraction=ss.DiffractionConfig(enabled=False),
             duration=_DURATION,
         )
         echoes = ss.simulate(hall, places[:1], listeners, config, seed)

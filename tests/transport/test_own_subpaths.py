@@ -68,7 +68,9 @@ def test_neither_kind_is_lower_in_a_home() -> None:
     apart, logarithms, errors = ~np.eye(len(points), dtype=bool), [], []
     for kind in ("shared", "own"):
         transfer = ss.RadianceTransferConfig(subpaths=kind)
-        config = ss.SimulationConfig(walks=600, diffraction=False, radiance_transfer=transfer)
+        config = ss.SimulationConfig(
+            walks=600, diffraction=ss.DiffractionConfig(enabled=False), radiance_transfer=transfer
+        )
         runs = []
         for seed in range(60):
             echoes = ss.simulate(scene, points, points, config, seed)
