@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
@@ -201,12 +202,11 @@ def test_a_worker_tells_where_its_time_went(started: Path) -> None:  # noqa: F81
 
 
 def test_the_command_prints_it(tmp_path: Path) -> None:
-    rooms = tmp_path / "list"
-    rooms.write_text(
-        '{"name": "a", "size": [2, 1.8, 1.6], "sources": [[0.5, 0.6, 0.7]], "listeners": [[1.4, 1.2, 0.9]]}\n'
-    )
-    command = ["rooms", str(rooms), "--out", str(tmp_path / "out"), "--walks", "16", "--jobs", "1"]
-    said = CliRunner().invoke(app, [*command, "--profile"])
+    mesh, points = tmp_path / "room.obj", tmp_path / "points.txt"
+    trimesh.creation.box((2.0, 1.8, 1.6)).export(mesh)
+    points.write_text("0 0.5 0.4 0.2\n1 -0.4 0.1 -0.3\n")
+    command = ["rirs", str(mesh), "--points", str(points), "--walks", "16", "--jobs", "1", "--out"]
+    said = CliRunner().invoke(app, [*command, str(tmp_path / "told"), "--profile"])
     assert said.exit_code == 0, said.output
     heads = next(line for line in said.output.splitlines() if line.startswith("stage"))
     assert heads.split() == [
@@ -226,5 +226,6 @@ def test_the_command_prints_it(tmp_path: Path) -> None:
         "memory",
         "MB",
     ]
-    assert "specular" in said.output and "\n1 pairs; each " in said.output
-    assert "specular" not in CliRunner().invoke(app, command).output
+    # Of two points the pair is computed once for both ways, and each of a point with itself.
+    assert "specular" in said.output and "\n3 pairs; each " in said.output
+    assert "specular" not in CliRunner().invoke(app, [*command, str(tmp_path / "plain")]).output

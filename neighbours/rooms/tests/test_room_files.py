@@ -100,3 +100,11 @@ def test_the_list_of_the_page_is_simulated(tmp_path: Path, monkeypatch: pytest.M
     done = CliRunner().invoke(app, ["rooms", "list.jsonl", "--out", "rooms", "--jobs", "1"])
     assert done.exit_code == 0, (done.output, done.exception)
     assert len(ss.read_room("rooms/r1.h5")) == 1 and Path("rooms/r2.h5").is_file()
+
+
+def test_the_command_prints_where_time_went(tmp_path: Path) -> None:
+    listed = _list(tmp_path, _line("a", listeners=LISTENERS[:1].tolist()))
+    command = ["rooms", str(listed), "--out", str(tmp_path / "out"), "--walks", "16", "--jobs", "1"]
+    said = CliRunner().invoke(app, [*command, "--profile"]).output
+    assert "specular" in said and "\n1 pairs; each " in said, said
+    assert "specular" not in CliRunner().invoke(app, command).output
