@@ -334,12 +334,16 @@ def test_a_study_is_stopped_and_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     stop_at("")
     assert sum(line.startswith("dataset") for line in said) == 4  # the second of three was begun twice
     assert sum(line.startswith("tested AG-dagger") for line in said) == 1
+    record = tmp_path / "record.json.gz"  # is written anew, with the report
     made = {
-        p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.suffix in (".h5", ".gz", ".pt", ".gif")
+        p: p.stat().st_mtime_ns
+        for p in tmp_path.rglob("*")
+        if p.suffix in (".h5", ".gz", ".pt", ".gif") and p != record
     }
     assert {p.suffix for p in made} == {".h5", ".gz", ".pt", ".gif"}
-    report = (tmp_path / "report.md").read_text()
+    report, content = (tmp_path / "report.md").read_text(), record.read_bytes()
     stop_at("")
+    assert record.read_bytes() == content
     assert {p: p.stat().st_mtime_ns for p in made} == made and (
         tmp_path / "report.md"
     ).read_text() == report
