@@ -105,7 +105,8 @@ def test_the_package_on_a_system_without_posix(dataset_folder: Path, tmp_path: P
     )
     assert done.returncode == 0, done.stderr[-3000:]
     failed, count, values, shape = json.loads(done.stdout.splitlines()[-1])
-    assert failed == [] and count > 350, (failed, count)
+    modules = sum(1 for _ in (ROOT / "soundspaces_sim").rglob("*.py"))
+    assert failed == [] and count > 0.95 * modules, (failed, count, modules)  # some need an extra
     assert np.isfinite(values).all() and shape[0] == 2
 
 
