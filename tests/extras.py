@@ -85,8 +85,10 @@ GROUPS = {
             "neighbours/rooms/tests/test_torch_rooms.py",
             "tests/test_readme.py::test_documentation_runs",
             "tests/test_readme.py::test_python_of_a_row_runs",
+            "tests/nav/test_env.py",
         ),
         torch=True,
+        packages=("stable-baselines3>=2.7",),
     ),
     "ptx": Group("", ("tests/scene/test_ptx.py",), packages=("numba-cuda[cu13]",)),
 }

@@ -25,6 +25,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[1]
+_NEIGHBOURS = ("buildings", "exports", "rooms")
 _NAME = "soundspaces-sim"
 _VERSIONS = """
 import json, sys
@@ -48,14 +49,14 @@ with h5py.File(sys.argv[1] + "/rooms/rooms-000000.h5") as file:
 print(json.dumps(found))
 """
 _BUILD = (
-    "rirs demo --spacing 4 --walks 16 --store both --out set",
-    "rooms --count 2 --format hdf5 --walks 16 --out rooms",
-    "table set/demo --out pairs.parquet",
-    "table set/demo --octaves --out octaves.xlsx",
-    "export wav set/demo --out wav",
-    "export sofa set/demo --out sofa",
-    "plot set/demo --out map.png",
-    "report set/demo",
+    "soundspaces_sim.cli rirs demo --spacing 4 --walks 16 --store both --out set",
+    "soundspaces_rooms --count 2 --format hdf5 --walks 16 --out rooms",
+    "soundspaces_sim.cli table set/demo --out pairs.parquet",
+    "soundspaces_sim.cli table set/demo --octaves --out octaves.xlsx",
+    "soundspaces_sim.cli export wav set/demo --out wav",
+    "soundspaces_sim.cli export sofa set/demo --out sofa",
+    "soundspaces_sim.cli plot set/demo --out map.png",
+    "soundspaces_sim.cli report set/demo",
 )
 
 
@@ -78,7 +79,8 @@ def floors(project: dict[str, Any], *extras: str) -> dict[str, str]:
 
 def _run(python: Path, *arguments: str, cwd: Path) -> str:
     """What Python prints. Raises `SystemExit` with its words if it fails."""
-    own = {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
+    sources = (ROOT, *(ROOT / "neighbours" / name / "src" for name in _NEIGHBOURS))
+    own = {"PYTHONPATH": os.pathsep.join(map(str, sources)), "PYTHONSAFEPATH": "1"}
     if python != Path(sys.executable):  # versions of Numba would write over each other's kernels
         own["NUMBA_CACHE_DIR"] = str(python.parents[1] / "kernels")
     done = subprocess.run(
@@ -131,7 +133,7 @@ def main() -> int:
             place = Path(folder) / writer
             place.mkdir()
             for line in _BUILD:
-                _run(python, "-m", "soundspaces_sim.cli", *line.split(), cwd=place)
+                _run(python, "-m", *line.split(), cwd=place)
             readings = []
             for reader in pythons.values():
                 _run(reader, "-m", "soundspaces_sim.cli", "verify", "--full", "set/demo", cwd=place)
