@@ -9,6 +9,7 @@ import typer
 
 from soundspaces_sim.cli.console import run_app
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.extras import neighbour_hint
 
 GROUP = "soundspaces_sim.commands"  # of entry points; each is a typer app, by the command's name
 #: Folders in neighbours/ and help of every command.
@@ -40,6 +41,5 @@ def hand_over(
     name = context.info_name or ""
     found = list(entry_points(group=GROUP, name=name))
     if not found:
-        wanted = " ".join(f"./neighbours/{folder}" for folder in COMMANDS[name][0].split())
-        raise ConfigError(f"{name}: not installed; in a clone: .venv/bin/pip install {wanted}")
+        raise ConfigError(f"{name}: not installed; {neighbour_hint(*COMMANDS[name][0].split())}")
     run_app(found[0].load(), [*(_arguments or []), *context.args], f"soundspaces-sim {name}")

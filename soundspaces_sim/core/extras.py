@@ -18,6 +18,11 @@ def install_hint(extra: str) -> str:
     return f"`pip install -e '.[{extra}]'` in a clone of soundspaces_sim"
 
 
+def neighbour_hint(*folders: str) -> str:
+    """The command that installs folders of neighbours/, likewise."""
+    return f"in a clone: .venv/bin/pip install {' '.join(f'./neighbours/{name}' for name in folders)}"
+
+
 def need(what: str, *extras: str) -> None:
     """Raise `MissingExtraError`, which says that `what` needs it, if the package of an extra is missing."""
     for extra in extras:

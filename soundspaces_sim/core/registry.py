@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.extras import neighbour_hint
 
 
 class Entry(NamedTuple):
@@ -41,9 +42,7 @@ def of_neighbour(what: str, entry: Entry) -> Any:
     """What a distribution of its own has. Raises `ConfigError`, which says how `what` is installed."""
     package = re.split("[.:]", entry.target)[0]
     if find_spec(package) is None:
-        raise ConfigError(
-            f"{what}: not installed; in a clone: .venv/bin/pip install ./neighbours/{entry.neighbour}"
-        )
+        raise ConfigError(f"{what}: not installed; {neighbour_hint(entry.neighbour)}")
     return load(entry.target)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.extras import neighbour_hint
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.scene.scene import Scene
@@ -70,9 +71,6 @@ def installed(name: str) -> LowMethod:
     """A method by its name. Raises `ConfigError` if it is not installed."""
     found = list(entry_points(group=GROUP, name=name))
     if not found:
-        raise ConfigError(
-            f"simulation.low.method: {name} are not installed; in a clone: "
-            f".venv/bin/pip install ./neighbours/{name}"
-        )
+        raise ConfigError(f"simulation.low.method: {name} are not installed; {neighbour_hint(name)}")
     method: LowMethod = found[0].load()
     return method

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from soundspaces_sim.core.errors import SceneError
+from soundspaces_sim.core.extras import neighbour_hint
 from soundspaces_sim.scene.formats.limits import ply_header
 from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
 
@@ -22,8 +23,7 @@ def _detects(source: str) -> bool:
 
 def _refuse(source: str) -> LabelledMesh:
     raise SceneError(
-        f"{source}: a file of a room program; what reads it is not installed; in a clone: "
-        ".venv/bin/pip install ./neighbours/room_programs"
+        f"{source}: a file of a room program; what reads it is not installed; {neighbour_hint('room_programs')}"
     )
 
 

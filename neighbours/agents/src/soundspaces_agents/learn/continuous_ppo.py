@@ -134,7 +134,7 @@ class SbAgent:
         return action
 
 
-def test_episodes(env: ContinuousNavEnv, config: SbConfig) -> list[ContinuousEpisode]:
+def draw_tests(env: ContinuousNavEnv, config: SbConfig) -> list[ContinuousEpisode]:
     """So many in each scene of the environment."""
     setting, rules = env.setting, env.setting.task.rules
     found = []
@@ -210,7 +210,7 @@ def run_sb3(
     more: dict[str, Any] = {"scenes": scenes or {}}
     tested = ContinuousNavEnv(**config.options(data, "test"), **more)
     rate = tested.setting.bank.rate
-    episodes = test_episodes(tested, config)
+    episodes = draw_tests(tested, config)
     follower = evaluate(DirectionFollower(rate), tested, episodes, seed)
     log(
         f"follower: success {follower.rows['success'].mean():.3f}, SPL {follower.rows['spl'].mean():.3f}"
