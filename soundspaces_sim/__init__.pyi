@@ -57,7 +57,7 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import gradient, simulate
+from .transport.api import simulate
 
 __all__ = [
     "Arrival",
@@ -114,7 +114,6 @@ __all__ = [
     "build_datasets",
     "citation",
     "directed",
-    "gradient",
     "in_bands",
     "inspect_scene",
     "load_config",

@@ -16,9 +16,7 @@ from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.scene.scene import Scene, scene_key
 from soundspaces_sim.scene.windings import Sides, find_sides
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
-from soundspaces_sim.transport.bsdf.scores import with_scores
 from soundspaces_sim.transport.bsdf.surface import Surfaces, law_rows, make_surfaces
-from soundspaces_sim.transport.model import PreparedScene
 from soundspaces_sim.transport.reflection_counts.groups import group_of_material
 
 
@@ -59,14 +57,6 @@ def scene_surfaces(
     ), np.column_stack([kinds.of_face, kinds.of_face])
 
 
-def with_scattering_scores(prepared: PreparedScene) -> tuple[Surfaces, np.ndarray]:
-    """The surfaces of a scene with scores, and where they are unknown: see `scores.with_scores`."""
-    by_size = scattered_by_size(prepared.scene, prepared.config)
-    kinds = _kinds(prepared.scene, prepared.config, by_size)
-    columns = kinds.absorption, kinds.scattering, kinds.transmission
-    return with_scores(prepared.surfaces, *columns, 1.0 - kinds.by_size)
-
-
 class _Kinds(NamedTuple):
     """The m kinds of surface of a scene."""
 
@@ -74,7 +64,6 @@ class _Kinds(NamedTuple):
     absorption: np.ndarray  # (m, b)
     scattering: np.ndarray  # (m, b), with what its size scatters
     transmission: np.ndarray  # (m, b)
-    by_size: np.ndarray  # (m, b) share of what the table mirrors that its size scatters
     of_face: np.ndarray  # (F,)
 
 
@@ -86,7 +75,7 @@ def _kinds(scene: Scene, config: SimulationConfig, by_size: np.ndarray) -> _Kind
     if not by_size.shape[1]:
         share = np.zeros((len(rows), scattering.shape[1]))
     both = 1.0 - (1.0 - scattering[rows]) * (1.0 - share)
-    return _Kinds(rows, absorption[rows], both, transmission[rows], share, of_face)
+    return _Kinds(rows, absorption[rows], both, transmission[rows], of_face)
 
 
 @stage("windings")

@@ -132,7 +132,6 @@ class Vertices(NamedTuple):
     count: np.ndarray  # (…, connected)
     first: np.ndarray  # (…, connected, 9) harmonics of the first direction
     counts: np.ndarray  # (…, connected, depth, groups) reflections before it
-    scores: np.ndarray  # (…, connected, depth, groups or 0, b) of these, see `scores.with_scores`
 
 
 @part(forceinline=True)
@@ -144,7 +143,6 @@ def vertices_of(vertices: Vertices, i: int) -> Vertices:
         vertices.count[i],
         vertices.first[i],
         vertices.counts[i],
-        vertices.scores[i],
     )
 
 
@@ -160,8 +158,5 @@ class ReflectionBlock(NamedTuple):
     energy: np.ndarray  # (N, capacity, b) scattered there, without air
     counts: np.ndarray  # (N, capacity, groups) reflections before it
     group: np.ndarray  # (N, capacity) group of the surface that scatters, -1 for none
-    scores: (
-        np.ndarray
-    )  # (N, capacity, groups or 0, b) up to it, itself included, see `scores.with_scores`
     direction: np.ndarray  # (N, BATCHES, subpaths, 3) in which each subpath left the point
     upto: np.ndarray  # (N, BATCHES) where each batch ends; beyond the capacity nothing is stored

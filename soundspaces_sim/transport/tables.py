@@ -22,13 +22,6 @@ def copy(source: np.ndarray, target: np.ndarray) -> None:
 
 
 @part(forceinline=True)
-def copy_scores(source: np.ndarray, target: np.ndarray) -> None:
-    """Copy the scores (groups, b) of a path."""
-    for m in range(len(target)):
-        copy(source[m], target[m])
-
-
-@part(forceinline=True)
 def harmonics(x: float, y: float, z: float, out: np.ndarray) -> None:
     """Nine real spherical harmonics of a unit direction, ACN order, SN3D (AmbiX) into `out`."""
     out[0] = 1.0
@@ -79,7 +72,7 @@ def deposit_batch(batches: np.ndarray, batch: int, window: int, energy: np.ndarr
 
 def count_rows(groups: int) -> int:
     """Rows below the batches for so many groups of materials: counts n_m, what each group's anchor takes
-    (`taken`), and products n_m n_k, k <= m, in `product_row`s. Below these are scores, if they are wanted."""
+    (`taken`), and products n_m n_k, k <= m, in `product_row`s."""
     return 2 * groups + groups * (groups + 1) // 2
 
 
@@ -105,15 +98,6 @@ def deposit_counts(
                     both, at = float(counts[m]) * counts[k], product_row(len(counts), m, k)
                     for b in range(len(energy)):
                         batches[at, window, b] += both * energy[b]
-
-
-@part(forceinline=True)
-def deposit_scores(batches: np.ndarray, scores: np.ndarray, window: int, energy: np.ndarray) -> None:
-    """Add a path's band energies, times its scores (groups or 0, b), to the last rows below its batches."""
-    first = len(batches) - len(scores)
-    for m in range(len(scores)):
-        for b in range(len(energy)):
-            batches[first + m, window, b] += scores[m, b] * energy[b]
 
 
 @part(forceinline=True)

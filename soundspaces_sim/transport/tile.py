@@ -10,7 +10,6 @@ import numpy as np
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.echogram.denoise_plan import first_late
 from soundspaces_sim.scene.rays.placing import off_faces
-from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model, Once
 from soundspaces_sim.transport.path_table import PathTable
@@ -124,10 +123,8 @@ def nothing_arrived(tile: Tile) -> Arrived:
 
 
 def batch_rows(model: Model) -> int:
-    """Rows of `batches`: those of error bars, `count_rows` of the groups whose reflections are counted, and one for
-    the scores of each, if they are wanted."""
-    surfaces = model.world.surfaces
-    return BATCHES + count_rows(group_count(surfaces)) + score_count(surfaces)
+    """Rows of `batches`: those of error bars, and `count_rows` of the groups whose reflections are counted."""
+    return BATCHES + count_rows(group_count(model.world.surfaces))
 
 
 def empty_table(model: Model, rows: int, columns: int, wanted: bool = True) -> np.ndarray:

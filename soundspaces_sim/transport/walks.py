@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim.core.profile import stage
-from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.radiance_transfer.first_reflections import gather_reflections
 from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
@@ -25,7 +24,6 @@ def make_vertices(side: Side) -> Vertices:
         np.zeros(shape, np.int64),
         np.empty((*shape, CHANNELS)),
         np.empty((*shape, depth, group_count(surfaces)), np.uint16),
-        np.empty((*shape, depth, score_count(surfaces), bands)),
     )
 
 

@@ -92,16 +92,3 @@ def test_delta_lobes_have_no_density() -> None:
         assert _pdf(lobe, d_in, NORMAL, d_out) == 0.0
         crosses = (d_out @ NORMAL) < 0.0
         assert crosses == bsdf.TRANSMITS[lobe]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_energies_are_linear_in_scattering(name: str) -> None:
-    """As derivatives by scattering take for granted (`scores.with_scores`)."""
-    lobe, rng = NAMES.index(name), np.random.default_rng(5)
-    shares = rng.dirichlet(np.ones(3), (20, 4))
-    scattering = rng.uniform(0.001, 0.999, (20, 4))
-    at = [
-        bsdf.lobe_energies(shares[..., 0], s, shares[..., 1])[:, lobe]
-        for s in (np.zeros((20, 4)), scattering, np.ones((20, 4)))
-    ]
-    np.testing.assert_allclose(at[1], (1.0 - scattering) * at[0] + scattering * at[2], atol=1e-15)

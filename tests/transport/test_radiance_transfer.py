@@ -68,10 +68,8 @@ def _transfer_subpaths(rng: np.random.Generator) -> TransferSubpaths:
     table = np.array(rows)
     length, energy = table[:, 1].astype(np.float32), table[:, 2:].astype(np.float32)
     counts = np.random.default_rng(7).integers(0, 9, (len(table), GROUPS)).astype(np.uint16)
-    patch, scores = table[:, 0].astype(np.int32), np.empty((len(table), 0, BANDS), np.float32)
-    return TransferSubpaths(
-        starts, patch, length, energy, counts, scores, np.zeros(BANDS), np.ones(BANDS)
-    )
+    patch = table[:, 0].astype(np.int32)
+    return TransferSubpaths(starts, patch, length, energy, counts, np.zeros(BANDS), np.ones(BANDS))
 
 
 def _endpoints(rng: np.random.Generator, places: np.ndarray, subpaths: TransferSubpaths) -> Endpoints:
@@ -93,7 +91,6 @@ def _endpoints(rng: np.random.Generator, places: np.ndarray, subpaths: TransferS
         rng.random((total, BANDS)).astype(np.float32),
         others.integers(0, 4, (total, GROUPS)).astype(np.uint16),
         others.integers(-1, GROUPS, total).astype(np.int8),
-        np.empty((total, 0, BANDS), np.float32),
         direction,
     )
     keys = point_keys(places, 0)

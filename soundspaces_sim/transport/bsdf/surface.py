@@ -33,9 +33,6 @@ class Surfaces(NamedTuple):
     parameters: np.ndarray  # (m, 2, b, p) of the law, of what is reflected and of what is transmitted
     group: np.ndarray  # (m,) in which reflections are counted, -1 for none: see `reflection_counts`
     kept: np.ndarray  # (groups, b) of a reflection's energy at the anchor of its group: 1 + `anchors`
-    score: (
-        np.ndarray
-    )  # (m, l, b) d ln(energy) / d(scattering of the table); (0, l, b) unless `scores.with_scores`
 
 
 def make_surfaces(
@@ -78,7 +75,6 @@ def make_surfaces(
         parameters=_law_parameters(law, absorption, transmission, free),
         group=group,
         kept=kept,
-        score=np.empty((0, len(bsdf.LOBES), bands)),
     )
 
 

@@ -15,7 +15,6 @@ from soundspaces_sim.core.numerics.vec3 import dot
 from soundspaces_sim.scene.rays.geometry import Geometry, Hit, before, intersect
 from soundspaces_sim.transport import bsdf
 from soundspaces_sim.transport.bsdf.sampling import choose_lobe, update_throughput
-from soundspaces_sim.transport.bsdf.scores import add_scores
 from soundspaces_sim.transport.bsdf.surface import Surfaces, apply_departure_factor, is_transmission
 from soundspaces_sim.transport.elements import through_element
 from soundspaces_sim.transport.paths.path_state import (
@@ -109,12 +108,10 @@ def spawn_ray(
 
 @part(forceinline=True)
 def count_reflection(surfaces: Surfaces, paths: Paths, i: int, material: int, lobe: int) -> None:
-    """Count a reflection of subpath i in the group of its material, if there is one, and add its scores;
-    transmissions are not counted."""
+    """Count subpath i's reflection in its material's group, if it has one; transmissions are not counted."""
     group = surfaces.group[material]
     if group >= 0 and group < paths.counts.shape[1] and not is_transmission(lobe):
         paths.counts[i, group] += np.uint16(1)
-        add_scores(surfaces, material, lobe, paths.scores[i])
 
 
 @part

@@ -13,7 +13,6 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, negate, row, subtract
 from soundspaces_sim.scene.rays.geometry import in_sight, unoccluded
-from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
 from soundspaces_sim.transport.bsdf.surface import evaluate, group_count, pdf, reverse_pdf
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import level_of
@@ -27,7 +26,6 @@ from soundspaces_sim.transport.tables import (
     deposit,
     deposit_batch,
     deposit_counts,
-    deposit_scores,
     harmonics,
     time_bin,
 )
@@ -68,7 +66,6 @@ class PairOutput(NamedTuple):
     energy: np.ndarray  # (b,) of the connection at hand
     arrival: np.ndarray  # (9,) harmonics of its direction at a point
     counts: np.ndarray  # (groups,) of its reflections
-    scores: np.ndarray  # (groups or 0, b) of them
     tally: np.ndarray  # (1,) TALLY
 
 
@@ -91,7 +88,6 @@ def _deposit_both(
     window = world.window_of_bin[bin_index]
     deposit_batch(out.batches, batch, window, energy)
     deposit_counts(out.batches, out.counts, world.surfaces.kept, window, energy)
-    deposit_scores(out.batches, out.scores, window, energy)
     if out.to_q.shape[0] > 0:
         deposit(out.to_q, bin_index, at_q, energy)
     if out.to_p.shape[0] > 0:
@@ -99,20 +95,13 @@ def _deposit_both(
 
 
 @part(forceinline=True)
-def _count(
-    world: World, of: Vertices, index: int, i: int, counts: np.ndarray, scores: np.ndarray
-) -> None:
-    """Add the reflections up to vertex i of subpath `index`, its own included, and their scores."""
+def _count(world: World, of: Vertices, index: int, i: int, counts: np.ndarray) -> None:
+    """Add the reflections up to vertex i of subpath `index`, its own included."""
     for m in range(len(counts)):
         counts[m] += of.counts[index, i, m]
-    material = of.state[index, i].material
-    group = world.surfaces.group[material]
+    group = world.surfaces.group[of.state[index, i].material]
     if group >= 0 and group < len(counts):
         counts[group] += np.uint16(1)
-    for m in range(len(scores)):
-        for b in range(scores.shape[1]):
-            scores[m, b] += of.scores[index, i, m, b]
-    add_scattered_scores(world.surfaces, material, scores)
 
 
 @part
@@ -152,8 +141,7 @@ def connect_vertex_to_point(
         out.energy[band] = beta[band] * scale
     evaluate(surfaces, x.material, incident, normal, out_x, out.energy)
     out.counts[:] = 0
-    out.scores[:] = 0.0
-    _count(world, p.vertices, index, i, out.counts, out.scores)
+    _count(world, p.vertices, index, i, out.counts)
     harmonics(-out_x[0], -out_x[1], -out_x[2], out.arrival)
     _deposit_both(world, out, length, index % BATCHES, p.vertices.first[index], out.arrival)
 
@@ -206,9 +194,8 @@ def connect_vertices(
     evaluate(surfaces, x.material, incident_x, normal_x, out_x, out.energy)
     evaluate(surfaces, y.material, incident_y, normal_y, out_y, out.energy)
     out.counts[:] = 0
-    out.scores[:] = 0.0
-    _count(world, p.vertices, index, i, out.counts, out.scores)
-    _count(world, q.vertices, other, j, out.counts, out.scores)
+    _count(world, p.vertices, index, i, out.counts)
+    _count(world, q.vertices, other, j, out.counts)
     first_p, first_q = p.vertices.first[index], q.vertices.first[other]
     _deposit_both(world, out, length, index % BATCHES, first_p, first_q)
 
@@ -218,7 +205,7 @@ def _connect_pair(world: World, out: PairOutput, p: Endpoint, q: Endpoint, key: 
     """All connections of a pair; `key` decides which vertices are connected to which."""
     settings, of_p, of_q = world.settings, p.vertices, q.vertices
     returned = PairOutput(  # q plays p
-        out.to_p, out.to_q, out.batches, out.energy, out.arrival, out.counts, out.scores, out.tally
+        out.to_p, out.to_q, out.batches, out.energy, out.arrival, out.counts, out.tally
     )
     for index in range(settings.connected):
         # The partner is the next subpath, so that a point connected to itself still meets another subpath.
@@ -250,14 +237,14 @@ def _connect_pairs(
     side_a: Side,
     side_b: Side,
     out: Output,
-    work: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    work: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     """Connect the subpaths of each (row of a, row of b) in `pairs` (n, 2) from `first` to `last`.
 
     A pair's samples do not depend on which of its points is called a: the one with the smaller key plays p.
     A point connected to itself is one directed pair, deposited once.
     """
-    energy, arrival, counts, scores, tally = work
+    energy, arrival, counts, tally = work
     for k in range(first, last):
         i, j = pairs[k, 0], pairs[k, 1]
         key_p, key_q = side_a.ends.keys[i], side_b.ends.keys[j]
@@ -267,7 +254,7 @@ def _connect_pairs(
         p, q, to_q = _endpoint(side_a, i), _endpoint(side_b, j), out.to_b[i, j]
         if key_p > key_q:
             p, q, to_q, to_p, key_p, key_q = q, p, to_p, to_q, key_q, key_p
-        pair = PairOutput(to_q, to_p, out.batches[i, j], energy, arrival, counts, scores, tally)
+        pair = PairOutput(to_q, to_p, out.batches[i, j], energy, arrival, counts, tally)
         _connect_pair(world, pair, p, q, combine(combine(key_p, 1), key_q))
 
 
@@ -276,13 +263,12 @@ def join(tile: Tile, of_a: Walks, of_b: Walks, sums: Sums) -> None:
     world, pairs = tile.model.world, tile.pairs
     if world.settings.connection_length <= 0.0:
         return
-    groups, scored, bands = group_count(world.surfaces), score_count(world.surfaces), world.air.shape[1]
+    groups, bands = group_count(world.surfaces), world.air.shape[1]
     tallies: list[np.ndarray] = []
 
-    def work() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def work() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         tallies.append(np.zeros(1, TALLY))
-        counts, scores = np.empty(groups, np.uint16), np.empty((scored, bands))
-        return np.empty(bands), np.empty(CHANNELS), counts, scores, tallies[-1]
+        return np.empty(bands), np.empty(CHANNELS), np.empty(groups, np.uint16), tallies[-1]
 
     over_rows(
         _connect_pairs,

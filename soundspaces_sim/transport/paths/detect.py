@@ -23,7 +23,6 @@ from soundspaces_sim.transport.tables import (
     deposit,
     deposit_batch,
     deposit_counts,
-    deposit_scores,
     time_bin,
 )
 
@@ -53,7 +52,6 @@ class Carried(NamedTuple):
     beta: np.ndarray  # (b,) throughput
     first: np.ndarray  # (9,) harmonics of its first direction
     counts: np.ndarray  # (groups,) reflections so far
-    scores: np.ndarray  # (groups or 0, b), see `scores.with_scores`
 
 
 class Passage(NamedTuple):
@@ -153,7 +151,6 @@ def _detect(
     window = world.window_of_bin[bin_index]
     deposit_batch(out.batches[i], segment.batch, window, energy)
     deposit_counts(out.batches[i], carried.counts, world.surfaces.kept, window, energy)
-    deposit_scores(out.batches[i], carried.scores, window, energy)
     scratch.tally[0].deposits += 1
     if out.arrive.shape[1] > 0:
         deposit(out.arrive[i], bin_index, scratch.arrival, energy)

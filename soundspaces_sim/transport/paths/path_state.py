@@ -12,7 +12,7 @@ from soundspaces_sim.core.numerics.kernel import part
 from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.core.numerics.vec3 import Vec3
 from soundspaces_sim.transport.paths.mis import PartialSums
-from soundspaces_sim.transport.tables import CHANNELS, copy, copy_scores
+from soundspaces_sim.transport.tables import CHANNELS, copy
 
 #: What a subpath carries beside its throughput. Its next segment starts at (ox, oy, oz), m, on a surface of unit
 #: normal (nx, ny, nz), in direction (dx, dy, dz); along (ix, iy, iz) it came to that surface, whose `material`
@@ -85,24 +85,20 @@ class Paths(NamedTuple):
     mixture: np.ndarray  # (W, h) proposal ratios, see `surface.update_throughput`
     first: np.ndarray  # (W, 9) harmonics of the first direction
     counts: np.ndarray  # (W, groups) reflections so far, by group of materials
-    scores: (
-        np.ndarray
-    )  # (W, groups or 0, b) d ln(throughput) / d(scattering) of each group, see `scores.with_scores`
     alive: np.ndarray  # (W,)
     retired: np.ndarray  # (W,) nothing that it still could do is wanted
     share: np.ndarray  # (W,) scratch of `population`
     copies: np.ndarray  # (W,) scratch of `population`
 
 
-def empty_paths(slots: int, bands: int, proposals: int, groups: int = 0, scored: int = 0) -> Paths:
-    """Room for `slots` subpaths, whose reflections are counted in `groups`, with scores of so many."""
+def empty_paths(slots: int, bands: int, proposals: int, groups: int = 0) -> Paths:
+    """Room for `slots` subpaths, whose reflections are counted in `groups`."""
     return Paths(
         state=np.empty(slots, PATH),
         beta=np.empty((slots, bands)),
         mixture=np.empty((slots, proposals)),
         first=np.empty((slots, CHANNELS)),
         counts=np.zeros((slots, groups), np.uint16),
-        scores=np.zeros((slots, scored, bands)),
         alive=np.empty(slots, np.bool_),
         retired=np.empty(slots, np.bool_),
         share=np.empty(slots),
@@ -184,6 +180,5 @@ def copy_path(paths: Paths, source: int, target: int, number: int) -> None:
     copy(paths.mixture[source], paths.mixture[target])
     copy(paths.first[source], paths.first[target])
     copy(paths.counts[source], paths.counts[target])
-    copy_scores(paths.scores[source], paths.scores[target])
     paths.alive[target] = paths.alive[source]
     paths.retired[target] = False

@@ -23,7 +23,6 @@ from soundspaces_sim.scene.rays.directions import stratified_pair
 from soundspaces_sim.scene.rays.geometry import Hit
 from soundspaces_sim.transport.arrivals.images import ORDER, by_images
 from soundspaces_sim.transport.bsdf.sampling import sample_split
-from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
 from soundspaces_sim.transport.bsdf.surface import (
     diffuse_albedo,
     group_count,
@@ -77,7 +76,7 @@ from soundspaces_sim.transport.state import (
     World,
     emitters_of,
 )
-from soundspaces_sim.transport.tables import BATCHES, copy, copy_scores, harmonics
+from soundspaces_sim.transport.tables import BATCHES, copy, harmonics
 from soundspaces_sim.transport.technique import TraceRows
 from soundspaces_sim.transport.tile import Side
 
@@ -145,7 +144,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
             # Delta events leave a and b as they are; so do Lambertian ones, without connections, as here.
             events=state.events, sums=mis.start(settings.kappa), material=-1, incident=nowhere, normal=nowhere,
         )  # fmt: skip
-        carried = Carried(paths.beta[i], paths.first[i], paths.counts[i], paths.scores[i])
+        carried = Carried(paths.beta[i], paths.first[i], paths.counts[i])
         pass_detectors(context.world, context.receivers, segment, carried, scratch, context.tables)
 
 
@@ -165,8 +164,6 @@ def _store_reflection(context: _Context, paths: Paths, i: int, hit: Hit, patch: 
     cos, material = cos_incidence(state, hit), hit.material
     copy(paths.counts[i], block.counts[p, slot])
     block.group[p, slot] = world.surfaces.group[material]
-    copy_scores(paths.scores[i], block.scores[p, slot])
-    add_scattered_scores(world.surfaces, material, block.scores[p, slot])
     for b in range(len(beta)):
         scattered = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
         energy[b] = scattered / world.settings.specular
@@ -243,7 +240,6 @@ def _start(work: _Work, point: Vec3, key: int, batch: int, directions: np.ndarra
     """Fill the slots of a batch with its subpaths, all at their point; their `directions` (W, 3) are noted."""
     paths = work.paths
     paths.counts[:] = 0
-    paths.scores[:] = 0.0
     u0, v0 = hashed_uniform(key, 4 * batch + 1), hashed_uniform(key, 4 * batch + 3)
     batch_key = combine(key, batch)
     for i in range(len(paths.state)):
@@ -312,7 +308,7 @@ def _make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) ->
     settings, bands = world.settings, world.air.shape[1]
     slots = settings.specular // BATCHES
     return _Work(
-        empty_paths(slots, bands, 0, group_count(world.surfaces), score_count(world.surfaces)),
+        empty_paths(slots, bands, 0, group_count(world.surfaces)),
         Roulette(np.empty(slots, np.int64), np.empty(bands)),
         make_scratch(bands, detectors, tallies),
         empty_guide(),

@@ -18,7 +18,6 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, add, dot, row, subtract
 from soundspaces_sim.core.profile import count
 from soundspaces_sim.scene.rays.geometry import Hit, before
 from soundspaces_sim.transport.bsdf.sampling import choose_proposal
-from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import (
     apply_departure_factor,
     can_connect,
@@ -65,7 +64,7 @@ from soundspaces_sim.transport.state import (
     World,
     vertices_of,
 )
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, copy_scores, harmonics
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, harmonics
 
 _GRAZING = 1e-6  # cosine below which, within rounding, a surface receives nothing
 
@@ -107,7 +106,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
         incident=incident_of(state),
         normal=normal_of(state),
     )
-    carried = Carried(paths.beta[i], paths.first[i], paths.counts[i], paths.scores[i])
+    carried = Carried(paths.beta[i], paths.first[i], paths.counts[i])
     pass_detectors(context.world, context.receivers, segment, carried, scratch, context.tables)
 
 
@@ -133,7 +132,6 @@ def _store_vertex(
     vertex.length, vertex.material, vertex.events = state.length, material, state.events
     copy(paths.beta[i], vertices.beta[state.index, slot])
     copy(paths.counts[i], vertices.counts[state.index, slot])
-    copy_scores(paths.scores[i], vertices.scores[state.index, slot])
     vertices.count[state.index] = slot + 1
 
 
@@ -180,7 +178,6 @@ def _start(paths: Paths, world: World, key: int, batch: int) -> None:
     paths.beta[:] = 1.0
     paths.mixture[:] = 1.0
     paths.counts[:] = 0
-    paths.scores[:] = 0.0
     for i in range(len(paths.alive)):
         index = i * BATCHES + batch
         state = paths.state[i]
@@ -261,8 +258,8 @@ def trace_subpaths(
 def make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) -> tuple[Paths, Scratch]:
     """A batch's subpaths and a thread's working arrays, for `trace_subpaths`; `tallies`: as in `make_scratch`."""
     slots, bands = world.settings.subpaths // BATCHES, world.air.shape[1]
-    surfaces, proposals = world.surfaces, world.surfaces.proposal.shape[1]
-    paths = empty_paths(slots, bands, proposals, group_count(surfaces), score_count(surfaces))
+    surfaces = world.surfaces
+    paths = empty_paths(slots, bands, surfaces.proposal.shape[1], group_count(surfaces))
     return paths, make_scratch(bands, detectors, tallies)
 
 

@@ -20,7 +20,6 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import at_once, kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
-from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import compensate_decay
 from soundspaces_sim.transport.state import ReflectionBlock, World
@@ -43,7 +42,6 @@ class Reflections(NamedTuple):
     energy: np.ndarray  # (E, b) that the patch scatters, without air
     counts: np.ndarray  # (E, groups) reflections before it
     group: np.ndarray  # (E,) group of the surface that scatters, -1 for none
-    scores: np.ndarray  # (E, groups or 0, b) up to it, itself included, see `scores.with_scores`
     direction: np.ndarray  # (N, BATCHES, subpaths, 3) in which each subpath left the point
 
 
@@ -66,7 +64,6 @@ def room_for(points: int, capacity: int, world: World) -> ReflectionBlock:
         energy=np.empty((*shape, world.air.shape[1]), np.float32),
         counts=np.empty((*shape, group_count(world.surfaces)), np.uint16),
         group=np.empty(shape, np.int8),
-        scores=np.empty((*shape, score_count(world.surfaces), world.air.shape[1]), np.float32),
         direction=np.empty((points, BATCHES, subpaths, 3), np.float32),
         upto=np.empty((points, BATCHES), np.int64),
     )

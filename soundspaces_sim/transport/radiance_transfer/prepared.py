@@ -14,7 +14,6 @@ from soundspaces_sim.core.io.check_cached import are_starts, like, within
 from soundspaces_sim.core.io.disk_cache import cached_on_disk, fingerprint
 from soundspaces_sim.core.profile import stage
 from soundspaces_sim.scene.scene import scene_key
-from soundspaces_sim.transport.bsdf.scores import score_count
 from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
 from soundspaces_sim.transport.element_depths import air_on_sides
 from soundspaces_sim.transport.model import Model, PreparedScene
@@ -62,7 +61,6 @@ _SUBPATHS = {
     "length": "f4 e",
     "energy": "f4 e b",
     "counts": "u2 e g",
-    "scores": "f4 e k b",
     "decay": "f8 b",
     "reach": "f8 b",
 }
@@ -131,8 +129,7 @@ def late_technique(model: Model) -> str:
 @stage("shared transfer subpaths")
 def transfer_subpaths(model: Model) -> TransferSubpaths:
     """Subpaths from patch to patch, which all points share: `model.once(transfer_subpaths)`."""
-    scored = score_count(model.world.surfaces)
-    key = scene_key(model.scene), model.config, model.duration, model.seed, scored
+    key = scene_key(model.scene), model.config, model.duration, model.seed
     make = partial(trace_transfer_subpaths, model.world, model.seed)
     return cached_on_disk(TransferSubpaths, key, make, partial(subpaths_fit, world=model.world))
 
@@ -205,8 +202,7 @@ def subpaths_fit(subpaths: TransferSubpaths, world: World) -> bool:
     """What `transfer_subpaths.trace_transfer_subpaths` makes."""
     rows, patches, bands = subpath_count(world), len(world.patches.weight), world.air.shape[1]
     chunks = -(-patches // CHUNK)
-    sizes = {"M": rows, "s": patches * chunks + 1, "b": bands}
-    sizes |= {"g": group_count(world.surfaces), "k": score_count(world.surfaces)}
+    sizes = {"M": rows, "s": patches * chunks + 1, "b": bands, "g": group_count(world.surfaces)}
     if not like(subpaths, _SUBPATHS, sizes) or not within(subpaths.patch, 0, patches - 1):
         return False
     start = subpaths.start

@@ -25,7 +25,6 @@ from soundspaces_sim.core.profile import count
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
 from soundspaces_sim.scene.rays.geometry import Hit, cast_ray, lifted, material_met
 from soundspaces_sim.transport.bsdf.sampling import choose_proposal
-from soundspaces_sim.transport.bsdf.scores import add_scattered_scores, score_count
 from soundspaces_sim.transport.bsdf.surface import (
     apply_emission_factor,
     diffuse_albedo,
@@ -51,7 +50,7 @@ from soundspaces_sim.transport.paths.path_state import (
 from soundspaces_sim.transport.paths.population import STEP, resample
 from soundspaces_sim.transport.radiance_transfer.patches import Places, patch_at
 from soundspaces_sim.transport.state import World
-from soundspaces_sim.transport.tables import copy, copy_scores
+from soundspaces_sim.transport.tables import copy
 
 CHUNK = 256  # patches whose histograms are filled together
 _ALL_UPTO = 30.0  # m, beyond which the number of subpaths falls as 1 / length …
@@ -72,7 +71,6 @@ class TransferSubpaths(NamedTuple):
     length: np.ndarray  # (E,) m
     energy: np.ndarray  # (E, b) that the patch scatters, decay-compensated, without air
     counts: np.ndarray  # (E, groups) reflections since the subpath set out, this one included
-    scores: np.ndarray  # (E, groups or 0, b) of these, see `scores.with_scores`
     decay: np.ndarray  # (b,) 1/m, of the compensation
     reach: np.ndarray  # (b,) m, longer paths carry nothing in this band
 
@@ -92,7 +90,6 @@ class _Events(NamedTuple):
     length: np.ndarray  # (rows, capacity) m
     energy: np.ndarray  # (rows, capacity, b)
     counts: np.ndarray  # (rows, capacity, groups)
-    scores: np.ndarray  # (rows, capacity, groups or 0, b)
     count: np.ndarray  # (rows,) events; those beyond the capacity are not stored
     rays: np.ndarray  # (rows,) for the profile
 
@@ -148,7 +145,6 @@ def _start(paths: Paths, world: World, key: int, patches: np.ndarray) -> None:
         state.proposal = choose_proposal(world.surfaces, hashed_uniform(stream, 1))
         paths.mixture[s] = 1.0
         paths.counts[s] = 0
-        paths.scores[s] = 0.0
         for b in range(paths.beta.shape[1]):
             paths.beta[s, b] = places.ratio[k, b]
             paths.alive[s] |= places.ratio[k, b] > 0.0
@@ -184,8 +180,6 @@ def _store(context: _Context, paths: Paths, i: int, hit: Hit, patch: int) -> Non
     group = world.surfaces.group[material]
     if group >= 0 and group < events.counts.shape[2]:
         events.counts[row, slot, group] += np.uint16(1)
-    copy_scores(paths.scores[i], events.scores[row, slot])
-    add_scattered_scores(world.surfaces, material, events.scores[row, slot])
     for b in range(len(beta)):
         energy[b] = beta[b] * lambertian_reflectance(world.surfaces, material, cos, b)
 
@@ -246,11 +240,11 @@ def _trace(
 def trace_populations(world: World, populations: Populations, pilots: Populations | None) -> _Events:
     """What populations leave. There is room at first for some more than their like `pilots` leave."""
     rows, slots = populations.patch.shape
-    bands, groups, scored = world.air.shape[1], group_count(world.surfaces), score_count(world.surfaces)
+    bands, groups = world.air.shape[1], group_count(world.surfaces)
     pool = world._replace(settings=world.settings._replace(connected=0))
 
     def make_paths() -> Paths:
-        return empty_paths(slots, bands, world.surfaces.proposal.shape[1], groups, scored)
+        return empty_paths(slots, bands, world.surfaces.proposal.shape[1], groups)
 
     capacity = slots * _EVENTS
     if pilots is not None:
@@ -259,7 +253,7 @@ def trace_populations(world: World, populations: Populations, pilots: Population
     while True:
         shape = rows, capacity
         # as they come, and once more in order
-        size = 12 + 4 * bands * (1 + scored) + 2 * groups
+        size = 12 + 4 * bands + 2 * groups
         check_memory(2.0 * rows * capacity * size, "transfer subpaths")
         events = _Events(
             np.empty(shape, np.int32),
@@ -267,7 +261,6 @@ def trace_populations(world: World, populations: Populations, pilots: Population
             np.empty(shape, np.float32),
             np.empty((*shape, bands), np.float32),
             np.empty((*shape, groups), np.uint16),
-            np.empty((*shape, scored, bands), np.float32),
             np.empty(rows, np.int64),
             np.empty(rows, np.int64),
         )
@@ -289,7 +282,6 @@ def by_origin(events: _Events, slots: int, patches: int) -> TransferSubpaths:
         length=np.empty(count, events.length.dtype),
         energy=np.empty((count, bands), events.energy.dtype),
         counts=np.empty((count, events.counts.shape[2]), events.counts.dtype),
-        scores=np.empty((count, *events.scores.shape[2:]), events.scores.dtype),
         decay=np.empty(0),
         reach=np.empty(0),
     )
@@ -306,7 +298,6 @@ def _sort_rows(
         (subpaths.length, events.length),
         (subpaths.energy, events.energy),
         (subpaths.counts, events.counts),
-        (subpaths.scores, events.scores),
     )
     for row in range(first, last):
         count = events.count[row]
