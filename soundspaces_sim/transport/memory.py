@@ -7,14 +7,15 @@ from typing import NamedTuple
 
 from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.model import Model
+from soundspaces_sim.transport.radiance_transfer.arrival_directions import LISTENERS
 from soundspaces_sim.transport.radiance_transfer.batch_variance import moment_rows
-from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK, product_count
+from soundspaces_sim.transport.radiance_transfer.convolution import product_count
 from soundspaces_sim.transport.radiance_transfer.plan import DIRECTED, batch_edges
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps, stretch_steps
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
     CHUNK,
 )
-from soundspaces_sim.transport.tables import CHANNELS, count_rows
+from soundspaces_sim.transport.tables import BATCHES, CHANNELS, count_rows
 from soundspaces_sim.transport.tile import batch_rows
 
 _SUBPATHS = 6e6  # bytes that a point's subpaths leave, measured (docs/clusters.md)
@@ -33,7 +34,7 @@ class TileMemory(NamedTuple):
 
     def of(self, side: int) -> float:
         """For a tile of `side` points on either side."""
-        return self.fixed + 2.0 * self.point * max(side, BLOCK) + self.pair * side**2
+        return self.fixed + 2.0 * self.point * max(side, LISTENERS) + self.pair * side**2
 
     def largest_side(self, memory: float) -> int:
         """The most points on either side for which `memory` bytes are enough; at least one."""
@@ -65,10 +66,15 @@ def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
     coarse = product_count(rows, 0)
     matrices = [p * int(n) for p, n in zip([*products, coarse], [*steps, rows], strict=True)]
     chunk, directed = min(CHUNK, patches), min(DIRECTED, patches)
-    of_thread = BLOCK * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
+    of_thread = (
+        LISTENERS * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
+    )
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
-    by_step = ways * (moment_rows(groups) + 1 + groups * (groups + 1))  # by batch, and across both ends
+    below = moment_rows(groups) - BATCHES
+    by_step = (
+        BATCHES + 1 + ways * (below + groups * (groups + 1))
+    )  # by batch, below, and across both ends
     of_pair = max(products) + by_step * (len(batch_edges(model)) - 1) * bands
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair

@@ -12,6 +12,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_moments import (
 )
 from soundspaces_sim.transport.radiance_transfer.batch_products import add_products
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    RAISED,
     PatchGroups,
     WindowSteps,
     add_to_group,
@@ -19,7 +20,6 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     make_window_steps,
     moment_rows,
 )
-from soundspaces_sim.transport.radiance_transfer.convolution import BLOCK
 from soundspaces_sim.transport.radiance_transfer.time_steps import TimeSteps
 from soundspaces_sim.transport.tables import BATCHES, count_rows
 from tests.marks import ci_slow
@@ -47,13 +47,11 @@ def _fill(
 
 
 def _histogram(steps: TimeSteps, length: np.ndarray, batch: np.ndarray, incident: bool) -> np.ndarray:
-    """(BLOCK, BATCHES, steps, 1): events of one point, each of energy 1, and of no others."""
+    """(BATCHES, steps, 1): events of one point, each of energy 1."""
     sums = np.zeros((steps.rows, 1, BATCHES, 1, 1), np.float32)
     groups = make_groups(np.zeros(1, int), np.ones((1, 1)), steps, np.empty((0, 1)))
     _fill(sums, groups, length, batch, np.ones(1, np.float32), np.empty(0, np.uint16), incident)
-    histogram = np.zeros((BLOCK, BATCHES, steps.rows, 1), np.float32)
-    histogram[0] = np.moveaxis(sums[:, :, :, 0, 0], 2, 0)
-    return histogram
+    return np.moveaxis(sums[:, :, :, 0, 0], 2, 0)
 
 
 @ci_slow
@@ -63,10 +61,10 @@ def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
     rng = np.random.default_rng(0)
     outgoing, incident = rng.uniform(0.0, WINDOWS[-1], (2, EVENTS))
     batch = rng.integers(BATCHES, size=EVENTS)
-    out = np.zeros((1, BATCHES, 1, STEPS), np.float32)
-    total = _histogram(windows.steps, incident, np.zeros(EVENTS, int), True).sum(axis=1)
-    own = _histogram(windows.steps, outgoing, batch, False)[:1]
-    add_products(windows, own[None], total[None, :1], out[None])
+    out = np.zeros((BATCHES, 1, STEPS), np.float32)
+    total = _histogram(windows.steps, incident, np.zeros(EVENTS, int), True).sum(axis=0)
+    own = _histogram(windows.steps, outgoing, batch, False)
+    add_products(windows, own, total[None], out)
 
     lengths, middle = outgoing[:, None] + incident, 0.5 * (WINDOWS[1:] + WINDOWS[:-1])
     assert len(windows.stretches) == 2
@@ -79,7 +77,7 @@ def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
         for k in range(BATCHES):
             of_k = steps[batch == k].ravel()
             expected = np.bincount(of_k[(of_k >= 0) & (of_k < kept)], minlength=kept)
-            found = out[0, k, 0, stretch.bins]
+            found = out[k, 0, stretch.bins]
             np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4 * expected.max())
         # Lengths of the paths of a step: in the mean its middle, to a tenth of the step.
         for n in range(kept):
@@ -91,29 +89,30 @@ def _random(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 def _crossed(rng: np.random.Generator, p: int, q: int, groups: int) -> Crossed:
-    return Crossed(_random(rng, groups, p, q, STEPS), _random(rng, groups, p, groups, q, STEPS))
+    return Crossed(_random(rng, groups, p, q, STEPS), _random(rng, groups, groups, p, q, STEPS))
+
+
+def _raised(of_batches: np.ndarray) -> np.ndarray:
+    """E(k) of what batches of both ends contribute to the sum of both directions (BATCHES, A, B, T)."""
+    whole = 0.5 * of_batches.sum(axis=0)
+    return np.asarray(whole + RAISED * (BATCHES * of_batches - 2.0 * whole), np.float32)
 
 
 def _products(rng: np.random.Generator, a: int, b: int, groups: int = 0) -> BatchProducts:
-    """Of batches of either end, and of what is below them; the batches of both ends add up to the same."""
-    rows = moment_rows(groups)
-    of_a, of_b = _random(rng, a, rows, b, STEPS), _random(rng, b, rows, a, STEPS)
-    whole = of_a[:, :BATCHES].sum(axis=1).swapaxes(0, 1)
-    of_b[:, :BATCHES] *= (whole / of_b[:, :BATCHES].sum(axis=1))[:, None]
+    """Of both directions, and of what is below the batches of either end."""
+    below = moment_rows(groups) - BATCHES
+    of_ends = _random(rng, below, a, b, STEPS), _random(rng, below, b, a, STEPS)
     crossed = _crossed(rng, a, b, groups), _crossed(rng, b, a, groups)
-    return BatchProducts(of_a, of_b, *_nothing_within(a, b), *crossed)
-
-
-def _nothing_within(a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-    """Groups of patches hide nothing."""
-    return np.zeros((a, b, STEPS), np.float32), np.zeros((b, a, STEPS), np.float32)
+    within = np.zeros((2, a, b, STEPS), np.float32)
+    return BatchProducts(_raised(_random(rng, BATCHES, a, b, STEPS)), within, *of_ends, *crossed)
 
 
 def test_energies_of_batches_are_those_of_the_definition() -> None:
     """E_k = E (⟨V_k, F⟩ / E + ⟨V, F_k⟩ / E − 1 / K), bin by bin; in a step without energy all batches have E / K."""
     rng, (a, b, bins, windows) = np.random.default_rng(1), (2, 3, 40, 5)
-    products = _products(rng, a, b)
-    products.of_a[0, :, 2, 7] = products.of_b[2, :, 0, 7] = 0.0
+    of_batches = rng.gamma(2.0, 1.0, (BATCHES, a, b, STEPS))
+    of_batches[:, 0, 2, 7] = 0.0
+    products = _products(rng, a, b)._replace(raised=_raised(of_batches))
     energies = PairEnergies(rng.random((a, b, bins)), rng.random((b, a, bins)), rng.random(bins))
     window = rng.integers(windows, size=bins)
     places = BinSteps(rng.integers(STEPS, size=bins), window, np.zeros(bins), np.zeros(STEPS))
@@ -123,16 +122,14 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
 
     expected = np.zeros_like(batches)
     for i, j in pairs:
-        of_a = products.of_a[i, :, j].astype(float)  # (BATCHES, STEPS)
-        of_b = products.of_b[j, :, i].astype(float)
         for t in range(bins):
             energy = 0.5 * (energies.forward[i, j, t] + energies.backward[j, i, t]) * energies.restore[t]
-            n = places.step[t]
+            of_k = of_batches[:, i, j, places.step[t]]
             share = np.full(BATCHES, 1.0 / BATCHES)
-            if (whole := 0.5 * (of_a + of_b)[:, n].sum()) > 0.0:
-                share = of_a[:, n] / whole + of_b[:, n] / whole - 1.0 / BATCHES
+            if (whole := 0.5 * of_k.sum()) > 0.0:
+                share = of_k / whole - 1.0 / BATCHES
             expected[i, j, :, places.window[t]] += energy * share
-    np.testing.assert_allclose(batches, expected, rtol=1e-5)
+    np.testing.assert_allclose(batches, expected, rtol=1e-4, atol=1e-5 * expected.max())
     mean = 0.5 * (energies.forward + energies.backward.swapaxes(0, 1)) * energies.restore
     total = mean @ np.eye(windows)[places.window]
     np.testing.assert_allclose(batches.sum(axis=2), total, rtol=1e-5)
@@ -143,12 +140,12 @@ def test_batches_differ_by_as_much_more_as_groups_hide() -> None:
     energies, and steps in which nothing is hidden, stay."""
     rng, bins = np.random.default_rng(4), STEPS
     plain = _products(rng, 1, 1)
-    within_a, within_b = _random(rng, 1, 1, STEPS), _random(rng, 1, 1, STEPS)
-    within_a[..., 3] = within_b[..., 3] = 0.0
+    within = _random(rng, 2, 1, 1, STEPS)
+    within[..., 3] = 0.0
     energies = PairEnergies(rng.random((1, 1, bins)), rng.random((1, 1, bins)), np.ones(bins))
     places = BinSteps(np.arange(bins), np.arange(bins), np.zeros(bins), np.zeros(STEPS))
     found = []
-    for products in (plain, plain._replace(within_a=within_a, within_b=within_b)):
+    for products in (plain, plain._replace(within=within)):
         batches = np.zeros((1, 1, BATCHES, bins))
         add_batches(
             0, 1, np.zeros((1, 2), np.int64), energies, products, places, batches, _scratch(BATCHES)
@@ -158,8 +155,8 @@ def test_batches_differ_by_as_much_more_as_groups_hide() -> None:
     np.testing.assert_allclose(after.sum(axis=0), before.sum(axis=0), rtol=1e-5)
     np.testing.assert_allclose(after[:, 3], before[:, 3])
     mean = 0.5 * (energies.forward + energies.backward)[0, 0]
-    both = plain.of_a[0, :BATCHES, 0].sum(axis=0).astype(float)  # of both directions
-    hidden = (mean / both) ** 2 * (within_a + within_b)[0, 0]
+    both = plain.raised[:, 0, 0].mean(axis=0).astype(float)  # of both directions
+    hidden = (mean / both) ** 2 * within[:, 0, 0].sum(axis=0)
     more = BATCHES * (after.var(axis=0, ddof=1) - before.var(axis=0, ddof=1))
     np.testing.assert_allclose(more, hidden, rtol=1e-3, atol=1e-6 * hidden.max())
 
@@ -177,17 +174,14 @@ def test_variance_of_a_product_is_that_of_its_batches() -> None:
     ]  # of a batch: its relative variance is K sd²
     v, f = (rng.gamma(k, 1.0 / (BATCHES * k), (runs, BATCHES)) for k in shape)
     energy = v.sum(axis=1) * f.sum(axis=1)
-    of_v, of_f = v * f.sum(axis=1, keepdims=True), f * v.sum(axis=1, keepdims=True)
-    a = np.repeat(of_v[:, :, None, None], STEPS, axis=3).astype(np.float32)
-    b = np.repeat(of_f.T[None, :, :, None], STEPS, axis=3).astype(np.float32)
+    # Both directions are alike: what a batch contributes is twice what it does to one.
+    of_batches = 2.0 * (v * f.sum(axis=1, keepdims=True) + f * v.sum(axis=1, keepdims=True))
+    raised = _raised(np.repeat(of_batches.T[:, :, None, None], STEPS, axis=3))
     energies = PairEnergies(energy[:, None, None], energy[None, :, None], np.ones(1))
     places = BinSteps(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1), np.zeros(STEPS))
     pairs = np.column_stack([np.arange(runs), np.zeros(runs, np.int64)])
     batches = np.zeros((runs, 1, BATCHES, 1))
-    rng = np.random.default_rng(3)
-    none = _crossed(rng, runs, 1, 0), _crossed(rng, 1, runs, 0)
-    # Both directions are alike: what a batch contributes is twice what it does to one.
-    products = BatchProducts(2.0 * a, 2.0 * b, *_nothing_within(runs, 1), *none)
+    products = _products(np.random.default_rng(3), runs, 1)._replace(raised=raised)
     add_batches(0, runs, pairs, energies, products, places, batches, _scratch(BATCHES))
     variance = BATCHES * batches[:, 0, :, 0].var(axis=1, ddof=1)
     expected = (1.0 + sd_v**2) * (1.0 + sd_f**2) - 1.0
@@ -210,10 +204,14 @@ def test_moments_of_counts_are_those_of_both_directions() -> None:
     rows = BATCHES + count_rows(groups)
     products = _products(rng, a, b, groups)
     lengths = 20.0 + np.cumsum(rng.uniform(3.0, 9.0, STEPS))  # m, of the mean path
-    products.of_a[0, :BATCHES, 1, 7] = products.of_b[1, :BATCHES, 0, 7] = 0.0
-    for of_end, part in ((products.of_a, 0.3), (products.of_b, 0.7)):
-        of_end[:, BATCHES + 2 * groups : rows] *= 60.0
-        of_end[:, -1] = part * of_end[:, :BATCHES].sum(axis=1) * lengths
+    products.raised[:, 0, 1, 7] = 0.0
+    whole = products.raised.mean(axis=0)
+    for of_end, part, of_both in (
+        (products.of_a, 0.3, whole),
+        (products.of_b, 0.7, whole.swapaxes(0, 1)),
+    ):
+        of_end[2 * groups : rows - BATCHES] *= 60.0
+        of_end[-1] = part * of_both * lengths
     position = np.array([-0.4, 0.0, 2.25, 6.5, 7.25, 8.5, STEPS - 0.5])
     at = np.interp(position, np.arange(STEPS), lengths) + 4.0 * (
         np.minimum(position, 0.0) + np.maximum(position - STEPS + 1, 0.0)
@@ -227,11 +225,11 @@ def test_moments_of_counts_are_those_of_both_directions() -> None:
     add_batches(0, len(pairs), pairs, energies, products, places, batches, _scratch(rows + 1))
     m, k = np.tril_indices(groups)
     for i, j in pairs:
-        of_a, of_b = products.of_a[i, :, j].astype(float), products.of_b[j, :, i].astype(float)
-        total, weight = of_a[BATCHES:] + of_b[BATCHES:], of_a[:BATCHES].sum(axis=0)
+        total = products.of_a[:, i, j].astype(float) + products.of_b[:, j, i].astype(float)
+        weight = products.raised[:, i, j].astype(float).mean(axis=0)
         for way, p, q in ((products.there, i, j), (products.back, j, i)):
             total[groups : 2 * groups] -= way.taken[:, p, q]
-            crossed = way.counts[:, p, :, q]
+            crossed = way.counts[:, :, p, q]
             total[2 * groups : -1] += crossed[k, m] + crossed[m, k]
         known = np.flatnonzero(weight > 0.0)
         assert (7 in known) == ((i, j) != (0, 1)) and len(known) >= STEPS - 1

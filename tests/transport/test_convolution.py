@@ -1,22 +1,16 @@
 """Products of points' tables: against sums, and to the same bits wherever a point stands."""
 
-import os
-import platform
-import subprocess
-import sys
-
 import numpy as np
-import pytest
 
 from soundspaces_sim.transport.radiance_transfer.convolution import (
-    BLOCK,
+    PLAIN,
+    Kind,
     accumulate,
     make_convolution,
-    padded,
     transform,
 )
 
-P, Q, T, PATCHES, FIRST = 2 * BLOCK, 3 * BLOCK, 23, 40, 4
+P, Q, T, PATCHES, FIRST = 33, 48, 23, 41, 4
 
 
 def _histograms(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -25,20 +19,26 @@ def _histograms(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return rows, columns
 
 
-def _convolved(
-    rows: np.ndarray, columns: np.ndarray, points: tuple[int, int] | None = None
-) -> np.ndarray:
-    """(P, Q, T - FIRST) convolutions of histograms (P, T, patches) and (Q, T, patches), summed over patches; of the
-    first `points` of each alone, if that is given."""
+def _spectra(*histograms: np.ndarray) -> list[np.ndarray]:
     convolution = make_convolution(T, FIRST)
-    products = len(convolution.forward)
-    spectra = [np.empty((products, len(x), x.shape[2]), np.float32) for x in (rows, columns)]
-    for x, out in zip((rows, columns), spectra, strict=True):
-        transform(convolution, x, out)
-    out = np.zeros((*(points or (len(rows), len(columns))), T - FIRST), np.float32)
-    scratch = np.empty((products, len(rows) * len(columns)), np.float32)
-    accumulate(convolution, spectra[0], spectra[1], scratch, out)
+    out = [np.empty((len(convolution.forward), len(x), x.shape[2]), np.float32) for x in histograms]
+    for x, spectra in zip(histograms, out, strict=True):
+        transform(convolution, x, spectra)
     return out
+
+
+def _accumulated(rows: np.ndarray, columns: np.ndarray, kind: Kind = PLAIN) -> np.ndarray:
+    """(P, Q, T - FIRST), of a table with itself."""
+    (products, p, _), q = rows.shape, columns.shape[1]
+    out = np.zeros((1, p, q, T - FIRST), np.float32)
+    scratch = np.empty(products * p * q, np.float32)
+    accumulate(make_convolution(T, FIRST), rows[:, None], columns[:, None], scratch, out, kind=kind)
+    return out[0]
+
+
+def _convolved(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """(P, Q, T - FIRST) convolutions of histograms (P, T, patches) and (Q, T, patches), summed over patches."""
+    return _accumulated(*_spectra(rows, columns))
 
 
 def test_convolutions_are_sums() -> None:
@@ -57,25 +57,41 @@ def test_where_a_point_stands_does_not_matter() -> None:
     whole = _convolved(outgoing, incident)
     rows, columns = random.permutation(P), random.permutation(Q)
     np.testing.assert_array_equal(_convolved(outgoing[rows], incident[columns]), whole[rows][:, columns])
-    np.testing.assert_array_equal(_convolved(outgoing[:BLOCK], incident[BLOCK:]), whole[:BLOCK, BLOCK:])
-    for p, q in ((1, 1), (1, 4), (2, 3), (5, 1), (8, 8), (8, 9), (16, 3), (17, 1)):
-        _check_few(outgoing[:p], incident[-q:], whole[:p, -q:])
+    for p, q in ((16, 32), (1, 1), (1, 4), (2, 3), (5, 1), (8, 9), (16, 3), (17, 1)):
+        found = _convolved(outgoing[:p], incident[-q:])
+        np.testing.assert_array_equal(found, whole[:p, -q:])
 
 
-def _check_few(outgoing: np.ndarray, incident: np.ndarray, expected: np.ndarray) -> None:
-    """Few points share products: the same bits, whichever points stand beside them."""
-    found = _convolved(_in_blocks(outgoing), _in_blocks(incident), expected.shape[:2])
-    np.testing.assert_array_equal(found, expected)
+def test_what_is_crossed_is_the_same_either_way_round() -> None:
+    """x_a y_b + y_a x_b, to the last bit that with a and b exchanged, and half of the pairs where a is b."""
+    random = np.random.default_rng(2)
+    (x_a, x_b), (y_a, y_b) = _spectra(*_histograms(random)), _spectra(*_histograms(random))
+    a, b = np.concatenate([x_a, y_a], axis=-1), np.concatenate([x_b, y_b], axis=-1)
+    there, back = _accumulated(a, b, Kind(crossed=True)), _accumulated(b, a, Kind(crossed=True))
+    np.testing.assert_array_equal(there, back.swapaxes(0, 1))
+    np.testing.assert_allclose(there, _accumulated(x_a, y_b) + _accumulated(y_a, x_b), rtol=1e-4)
+    few = _accumulated(a[:, :5], b[:, 7:9], Kind(crossed=True))
+    np.testing.assert_array_equal(few, there[:5, 7:9])
+    whole, half = _accumulated(a, a, Kind(crossed=True)), _accumulated(a, a, Kind(True, symmetric=True))
+    i, j = np.triu_indices(P)
+    np.testing.assert_array_equal(half[i, j], whole[i, j])
+    assert not half[P - 1, :8].any()
 
 
-def _in_blocks(histograms: np.ndarray) -> np.ndarray:
-    return np.pad(histograms, ((0, padded(len(histograms)) - len(histograms)), (0, 0), (0, 0)))
-
-
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="kernels of x86-64")
-@pytest.mark.parametrize("kind", ["Haswell", "Zen", "Sandybridge", "Nehalem"])
-def test_nor_does_it_on_other_kinds_of_processor(kind: str) -> None:
-    """NumPy's OpenBLAS has kernels for each, of which those for AVX2 add up differently within a product."""
-    code = "from tests.transport import test_convolution as t; t.test_where_a_point_stands_does_not_matter()"
-    environment = {**os.environ, "OPENBLAS_CORETYPE": kind}
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=300)
+def test_several_tables_are_each_with_its_own() -> None:
+    """And some points and steps of theirs alone."""
+    random = np.random.default_rng(3)
+    left, right = _spectra(*_histograms(random))
+    rows, columns = (np.stack([side, side[::-1]], axis=1) for side in (left, right))
+    out, some = np.zeros((2, P, Q, T), np.float32), (slice(5, 30), slice(FIRST, T))
+    accumulate(
+        make_convolution(T, FIRST),
+        rows,
+        columns,
+        np.empty(2 * left[..., 0].size * Q, np.float32),
+        out,
+        some,
+    )
+    for table, sides in zip(out, ((left, right), (left[::-1], right[::-1])), strict=True):
+        np.testing.assert_array_equal(table[:, 5:30, FIRST:], _accumulated(*sides)[:, 5:30])
+    assert not (out[:, :, :5].any() or out[:, :, 30:].any() or out[..., :FIRST].any())

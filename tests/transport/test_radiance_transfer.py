@@ -14,6 +14,7 @@ from soundspaces_sim.core.numerics.axes import spherical_harmonics
 from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.transport.radiance_transfer.arrival_directions import deposit_transfer
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    RAISED,
     make_groups,
     make_window_steps,
     make_within,
@@ -257,16 +258,18 @@ def _steps(plan: TransferPlan, outgoing: float, incident: float) -> Iterator[int
 
 
 def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
-    """Each batch of an end, as V and as F, with all of the other end, between groups of patches, in steps of two
-    widths; and times counts n of reflections, 1 - kept^n and products of two, of V, of F and across both; and times
+    """Both directions, between groups of patches, in steps of two widths: with the weight of a batch raised at both ends;
+    and times counts n of reflections, 1 - kept^n and products of two, of V, of F and across both; and times
     lengths."""
     plan, of, to, found = case
     i, j = 1, 0
     products, (rows, steps) = found.products, (moment_rows(GROUPS), len(WINDOWS) - 1)
-    of_a, of_b = np.zeros((2, BANDS, rows, steps))
+    raised = np.zeros((BANDS, BATCHES, steps))
+    of_a, of_b = np.zeros((2, BANDS, rows - BATCHES, steps))
     directions = (of, i, to, j, of_a, of_b, products.there), (to, j, of, i, of_b, of_a, products.back)
     chunk = np.arange(PATCHES) // CHUNK
     place = list(zip(chunk, plan.groups.group, strict=True))
+    weight = (1.0 - RAISED) + RAISED * BATCHES * np.eye(BATCHES)
     for start, p, end, q, by_outgoing, by_incident, ways in directions:
         taken, crossed = np.zeros((GROUPS, BANDS, steps)), np.zeros((GROUPS, GROUPS, BANDS, steps))
         incident = list(_incident(end, q))
@@ -276,19 +279,22 @@ def test_products_of_batches_are_sums_over_pairs_of_events(case: Case) -> None:
                     continue
                 for step in _steps(plan, v.length, f.length):
                     energy = v.energy * f.energy * plan.groups.factor[f.patch]
-                    by_outgoing[:, v.batch, step] += energy
-                    by_incident[:, f.batch, step] += energy
-                    by_incident[:, BATCHES:, step] += energy[:, None] * _below_batches(f).T
-                    by_outgoing[:, BATCHES:, step] += energy[:, None] * _below_batches(v).T
+                    raised[:, :, step] += np.outer(energy, weight[v.batch] * weight[f.batch])
+                    by_incident[:, :, step] += energy[:, None] * _below_batches(f).T
+                    by_outgoing[:, :, step] += energy[:, None] * _below_batches(v).T
                     both = _taken(v.counts) * _taken(f.counts)
                     taken[:, :, step] += both * energy
                     crossed[:, :, :, step] += np.multiply.outer(np.outer(f.counts, v.counts), energy)
         for expected, across in (
-            (taken.swapaxes(0, 1), ways.taken[:, :, p, 0, q]),
-            (np.moveaxis(crossed, 2, 0), ways.counts[:, :, p, :, q]),
+            (taken.swapaxes(0, 1), ways.taken[:, :, p, q]),
+            (np.moveaxis(crossed, 2, 0), ways.counts[:, :, :, p, q]),
         ):
             np.testing.assert_allclose(across, expected, rtol=1e-3, atol=1e-4 * expected.max())
-    for expected, by_batch in ((of_a, products.of_a[:, i, :, j]), (of_b, products.of_b[:, j, :, i])):
+    for expected, by_batch in (
+        (raised, products.raised[:, :, i, j]),
+        (of_a, products.of_a[:, :, i, j]),
+        (of_b, products.of_b[:, :, j, i]),
+    ):
         np.testing.assert_allclose(by_batch, expected, rtol=1e-3, atol=1e-4 * expected.max())
 
 
@@ -335,22 +341,22 @@ def test_what_groups_hide_is_variances_times_how_patches_differ(case: Case) -> N
         (list(_outgoing(of, i)), list(_incident(of, i))),
         (list(_outgoing(to, j)), list(_incident(to, j))),
     ]
-    hidden = found.products.within_a[:, i, 0, j], found.products.within_b[:, j, 0, i]
-    for own, (of_own, of_other) in enumerate((ends, ends[::-1])):
-        for s, stretch in enumerate(plan.windows.stretches):
-            steps = int(plan.windows.steps.steps[s])
-            expected = np.zeros((BANDS, steps))
+    hidden = found.products.within[:, :, i, j].sum(axis=1)
+    for s, stretch in enumerate(plan.windows.stretches):
+        steps = int(plan.windows.steps.steps[s])
+        expected = np.zeros((BANDS, steps))
+        for of_own, of_other in (ends, ends[::-1]):
             for incident in (False, True):
                 variance, _ = _spread_in_groups(plan, of_own[int(incident)], incident, s)
                 _, apart = _spread_in_groups(plan, of_other[int(not incident)], not incident, s)
                 for b in range(BANDS):
                     for v, d in zip(variance[:, :, b], apart[:, :, b], strict=True):
                         expected[b] += np.convolve(v, d)[:steps]
-            kept = stretch.bins.stop - stretch.bins.start
-            expected = expected[:, steps - kept :]
-            assert (expected > 0.0).all()
-            atol = 1e-4 * expected.max()
-            np.testing.assert_allclose(hidden[own][:, stretch.bins], expected, rtol=1e-3, atol=atol)
+        kept = stretch.bins.stop - stretch.bins.start
+        expected = expected[:, steps - kept :]
+        assert (expected > 0.0).all()
+        atol = 1e-4 * expected.max()
+        np.testing.assert_allclose(hidden[:, stretch.bins], expected, rtol=1e-3, atol=atol)
 
 
 def test_points_with_themselves_have_what_they_have_with_others(case: Case) -> None:
@@ -362,6 +368,11 @@ def test_points_with_themselves_have_what_they_have_with_others(case: Case) -> N
             np.testing.assert_array_equal(x, y)
     np.testing.assert_array_equal(same.products.of_a, two.products.of_a)
     np.testing.assert_array_equal(same.products.of_a, two.products.of_b)
+    i, j = np.triu_indices(to.points)
+    for name in ("raised", "within"):
+        one, other = getattr(same.products, name), getattr(two.products, name)
+        np.testing.assert_array_equal(one[..., i, j, :], other[..., i, j, :])
+        np.testing.assert_array_equal(other[..., i, j, :], other[..., j, i, :])
     assert same.there is same.back and same.products.of_a.any()
 
 

@@ -16,21 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, thread_count
-from soundspaces_sim.transport.radiance_transfer.convolution import (
-    BLOCK,
-    Convolution,
-    convolve_few,
-    inverse_transform,
-    multiply,
-    packed_count,
-    padded,
-    transform,
-)
+from soundspaces_sim.transport.radiance_transfer.convolution import Convolution, accumulate, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import Reflections
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import ROUNDING, Transfer
 from soundspaces_sim.transport.radiance_transfer.patch_histograms import fill_directed
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan
 from soundspaces_sim.transport.tables import CHANNELS
+
+LISTENERS = 16  # whose histograms are held at once, by each thread
 
 
 class LateEnergies(NamedTuple):
@@ -54,12 +47,11 @@ def _deposit(
 ) -> None:
     """Add to the n `columns` of `table` (A, B, bins, 9, b) the mean of both directions of transfer.
 
-    `moments` (b, A blocks, coarse steps, BLOCK, n', 9): as `_convolve_moments` gives them for these columns.
+    `moments` (b, A, n, 9, coarse steps): as `_convolve_moments` gives them for these columns.
     """
     for n in range(len(columns)):
         j = columns[n]
         for i in range(len(table)):
-            block, row_of = i // BLOCK, i % BLOCK
             for band in range(len(energies.forward)):
                 for t in range(len(energies.restore)):
                     mean = 0.5 * (energies.forward[band, i, j, t] + energies.backward[band, j, i, t])
@@ -68,10 +60,11 @@ def _deposit(
                         continue
                     row = table[i, j, bins.first + t]
                     row[0, band] += energy
-                    of_step = moments[band, block, bins.step[t], row_of, n]
-                    if of_step[0] > 0.0:
+                    of_pair, step = moments[band, i, n], bins.step[t]
+                    if of_pair[0, step] > 0.0:
                         for c in range(1, CHANNELS):
-                            row[c, band] += energy * min(max(of_step[c] / of_step[0], -1.0), 1.0)
+                            ratio = of_pair[c, step] / of_pair[0, step]
+                            row[c, band] += energy * min(max(ratio, -1.0), 1.0)
 
 
 def deposit_transfer(
@@ -84,19 +77,17 @@ def deposit_transfer(
     convolution, rows = plan.coarse.convolution, plan.coarse.steps.rows
     bands, points, _, patches = forward.directed.shape
     listeners = table.shape[1]
-    least = min(listeners, BLOCK)
-    rows_of_product = points if packed_count(points, least) > 1 else padded(points)
-    spectra = np.zeros((bands, len(convolution.forward), rows_of_product, patches), np.float32)
+    spectra = np.empty((bands, len(convolution.forward), points, patches), np.float32)
     for band in range(bands):
         transform(convolution, forward.directed[band], spectra[band])
 
     energies = LateEnergies(forward.energy, backward.energy, plan.restore)
     bins = LateBins(plan.first_bin, plan.coarse.of_bin)
-    blocks = padded(listeners) // BLOCK
+    blocks = -(-listeners // LISTENERS)
 
     def call(first: int, last: int) -> None:
         for block in range(first, last):
-            columns = np.arange(block * BLOCK, min((block + 1) * BLOCK, listeners))
+            columns = np.arange(block * LISTENERS, min((block + 1) * LISTENERS, listeners))
             histograms = np.zeros((bands, len(columns), rows, CHANNELS, patches), np.float32)
             scratch = np.empty(CHANNELS)
             fill_directed(columns, incident, plan.coarse.steps, plan.directed, histograms, scratch)
@@ -110,29 +101,16 @@ def deposit_transfer(
 def _convolve_moments(
     convolution: Convolution, outgoing_spectra: np.ndarray, incident: np.ndarray
 ) -> np.ndarray:
-    """V ∗ F_n summed over patches: (P blocks, coarse steps, BLOCK, Q, 9), of outgoing spectra (R, P, D) and
-    incident histograms of Q points, at most BLOCK, (Q, coarse rows, 9, D). Few P are not padded to blocks."""
-    products, points, patches = outgoing_spectra.shape
-    few = packed_count(points, len(incident)) > 1
-    columns = len(incident) if few else BLOCK
-    spectra = np.zeros((products, columns, CHANNELS * patches), np.float32)
-    histograms = incident.reshape(len(incident), -1, CHANNELS * patches)
-    np.matmul(convolution.forward, histograms, out=spectra[:, : len(incident)].transpose(1, 0, 2))
-    of_channel = spectra.reshape(products, columns, CHANNELS, patches).transpose(2, 0, 1, 3)
-    convolve = convolve_few if few else _convolve_pairs
-    steps = np.stack(
-        [convolve(convolution, outgoing_spectra, channel) for channel in of_channel], axis=-1
-    )
-    steps = steps.reshape(max(points // BLOCK, 1), -1, *steps.shape[1:])
-    moments = np.ascontiguousarray(steps.transpose(0, 3, 1, 2, 4))
-    energy = moments[..., 0]
-    energy[energy < ROUNDING * energy.max(axis=1, keepdims=True)] = 0.0
-    return np.asarray(moments)
-
-
-def _convolve_pairs(
-    convolution: Convolution, row_spectra: np.ndarray, column_spectra: np.ndarray
-) -> np.ndarray:
-    """(P, BLOCK, steps) convolutions of all pairs of two spectra (R, P, D) and (R, BLOCK, D), summed over D."""
-    convolved = inverse_transform(convolution, multiply(row_spectra, column_spectra))
-    return convolved.reshape(row_spectra.shape[1], BLOCK, -1)
+    """V ∗ F_n summed over patches: (P, Q, 9, coarse steps), of outgoing spectra (R, P, D) and incident histograms
+    of Q points (Q, coarse rows, 9, D)."""
+    (products, points, patches), (listeners, rows) = outgoing_spectra.shape, incident.shape[:2]
+    spectra = np.empty((products, listeners, CHANNELS * patches), np.float32)
+    transform(convolution, incident.reshape(listeners, rows, -1), spectra)
+    moments = np.zeros((1, points, listeners * CHANNELS, len(convolution.inverse)), np.float32)
+    scratch = np.empty(products * points * listeners * CHANNELS, np.float32)
+    columns = spectra.reshape(products, 1, -1, patches)
+    accumulate(convolution, outgoing_spectra[:, None], columns, scratch, moments)
+    moments = moments.reshape(points, listeners, CHANNELS, -1)
+    energy = moments[:, :, 0]
+    energy[energy < ROUNDING * energy.max(axis=2, keepdims=True)] = 0.0
+    return moments

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.transport.radiance_transfer.batch_variance import WindowSteps
+from soundspaces_sim.transport.radiance_transfer.batch_variance import RAISED, WindowSteps
 from soundspaces_sim.transport.tables import BATCHES, product_row
 
 _LEAST_LEFT = 1e-6  # of energy; less is rounding
@@ -26,21 +26,17 @@ class Crossed(NamedTuple):
     """Of one band and direction, of P outgoing and Q incident points, of counts by M groups of materials."""
 
     taken: np.ndarray  # (M, P, Q, T) what anchors take of V, with the same of F
-    counts: np.ndarray  # (M, P, M, Q, T) ⟨V^m, F^k⟩, k on the first axis
+    counts: np.ndarray  # (M, M, P, Q, T) ⟨V^m, F^k⟩, k on the first axis
 
 
 class BatchProducts(NamedTuple):
-    """Of one band, between the A and B points of a tile (`batch_products`)."""
+    """Of one band, of both directions between the A and B points of a tile (`batch_products`)."""
 
-    of_a: (
-        np.ndarray
-    )  # (A, moment rows, B, T) of each batch of a, and of counts and lengths, with all of b
-    of_b: np.ndarray  # (B, moment rows, A, T)
-    within_a: (
-        np.ndarray
-    )  # (A, B, T) variance of both directions that groups of patches hide, of events of a
-    within_b: np.ndarray  # (B, A, T)
-    there: Crossed  # a -> b
+    raised: np.ndarray  # (BATCHES, A, B, T) with the weight of a batch raised at both ends
+    within: np.ndarray  # (2, A, B, T) variance that groups of patches hide, of V and of F
+    of_a: np.ndarray  # (rows below the batches, A, B, T) of counts and lengths of a with all of b
+    of_b: np.ndarray  # (rows below the batches, B, A, T)
+    there: Crossed
     back: Crossed
 
 
@@ -75,9 +71,9 @@ def add_batches(
     batches: np.ndarray,
     share: np.ndarray,
 ) -> None:
-    """Add E_k of the `pairs` `first` to `last` of (n, 2) to `batches` (A, B, batch rows, windows), of one band,
-    and to the rows below E times the means of counts of reflections, what anchors take, and products
-    of counts.
+    """Add E_k, (1) of `batch_variance`, of the `pairs` `first` to `last` of (n, 2) to `batches` (A, B, batch rows,
+    windows), of one band, and to the rows below E times the means of counts of reflections, what anchors take, and
+    products of counts.
 
     `share` (T, moment rows + 1) is scratch: E_k / E, these means, but covariances for products, the mean length,
     and whether anything arrives in the step. Where no batch has energy in a step, all have the same share.
@@ -86,18 +82,16 @@ def add_batches(
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
         for step in range(len(share)):
-            total = 0.0  # of both directions: each is the sum over the batches of either end
+            total = 0.0  # of both directions
             for k in range(BATCHES):
-                share[step, k] = _product_of_batch(products, i, j, step, k)
-                total += 0.5 * share[step, k]
+                share[step, k] = max(products.raised[k, i, j, step], np.float32(0.0))
+                total += share[step, k] / BATCHES
             for k in range(BATCHES):
-                if total > 0.0:
-                    share[step, k] = share[step, k] / total - 1.0 / BATCHES
-                else:
-                    share[step, k] = 1.0 / BATCHES
+                change = (share[step, k] / total - 1.0) / RAISED if total > 0.0 else 0.0
+                share[step, k] = (1.0 + change) / BATCHES
             if total > 0.0:
-                of_a, of_b = products.within_a[i, j, step], products.within_b[j, i, step]
-                hidden = max(of_a, np.float32(0.0)) + max(of_b, np.float32(0.0))
+                of_v, of_f = products.within[0, i, j, step], products.within[1, i, j, step]
+                hidden = max(of_v, np.float32(0.0)) + max(of_f, np.float32(0.0))
                 _widen(share[step], hidden / (total * total))
             _find_moments(products, i, j, step, total, share[step])
         for t in range(len(energies.restore)):
@@ -140,14 +134,14 @@ def _find_moments(
         return
     share[-1] = 1.0
     for r in range(BATCHES, len(share) - 1):
-        share[r] = float(of_a[i, r, j, step]) + float(of_b[j, r, i, step])
+        share[r] = float(of_a[r - BATCHES, i, j, step]) + float(of_b[r - BATCHES, j, i, step])
     for m in range(groups):
         share[BATCHES + groups + m] -= float(there.taken[m, i, j, step]) + float(
             back.taken[m, j, i, step]
         )
         for k in range(m + 1):
-            of_there = float(there.counts[k, i, m, j, step]) + float(there.counts[m, i, k, j, step])
-            of_back = float(back.counts[k, j, m, i, step]) + float(back.counts[m, j, k, i, step])
+            of_there = float(there.counts[k, m, i, j, step]) + float(there.counts[m, k, i, j, step])
+            of_back = float(back.counts[k, m, j, i, step]) + float(back.counts[m, k, j, i, step])
             share[product_row(groups, m, k)] += of_there + of_back
     for r in range(BATCHES, len(share) - 1):
         share[r] /= total
@@ -218,10 +212,3 @@ def _taken_between(low: float, high: float, place: float, course: float) -> floa
     left = max(1.0 - low, _LEAST_LEFT)
     slope = math.log(max(1.0 - high, _LEAST_LEFT) / left)
     return 1.0 - left * math.exp(place * slope) / (1.0 + 0.5 * course * slope * slope)
-
-
-@part(forceinline=True)
-def _product_of_batch(products: BatchProducts, i: int, j: int, step: int, k: int) -> float:
-    """Products of batch `k` of both endpoints: a sum that is the same whichever endpoint is a."""
-    of_a, of_b = products.of_a[i, k, j, step], products.of_b[j, k, i, step]
-    return max(of_a, np.float32(0.0)) + max(of_b, np.float32(0.0))

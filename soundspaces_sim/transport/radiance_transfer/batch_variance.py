@@ -12,6 +12,16 @@ that of the sum of the E_k. Batch k of both endpoints is carried on by transfer 
 noise and the correlation between the endpoints are in it. E is the mean of the transfers a → b and b → a, so that
 each endpoint has batches both of outgoing and of incident histograms.
 
+Both terms come from one product, the infinitesimal jackknife: with the weight of batch k raised at both ends,
+
+    V(k) = V + λ (K V_k − V),    F(k) = F + λ (K F_k − F),
+
+E(k) = ⟨V(k), F(k)⟩ changes in proportion to λ, but for λ² ⟨K V_k − V, K F_k − F⟩. With the mean Ē over k
+
+    E_k = E (1 / K + (E(k) / Ē − 1) / (λ K)).                                                              (1)
+
+λ = `RAISED` is so small that the square does not matter, and large enough for single precision.
+
 The products by batch are taken at a coarse resolution: steps as long as the windows of time in which error bars are
 kept, and groups of neighbouring patches that see each other. Patches on two sides of a wall receive different sound
 and may not be one group.
@@ -29,7 +39,8 @@ Counts of reflections are products, too. In a step they are those of paths of so
 such product; bins have what lies on a line between these lengths.
 
 Source: S. Asmussen and P. W. Glynn (2007), Stochastic Simulation, chapters III.3 (delta method), IV.5 (batch
-means).
+means). L. A. Jaeckel (1972), The infinitesimal jackknife, Bell Laboratories MM 72-1215-11; B. Efron (1982), The
+jackknife, the bootstrap and other resampling plans, chapter 6.
 """
 
 from __future__ import annotations
@@ -62,6 +73,7 @@ from soundspaces_sim.transport.tables import (
     deposit_counts,
 )
 
+RAISED = 1.0 / 32.0  # λ of (1)
 _SIGHT_HEIGHT = 0.1  # m above patches, where they must see each other
 
 

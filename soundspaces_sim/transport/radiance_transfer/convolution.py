@@ -13,16 +13,16 @@ Source: A. Karatsuba and Yu. Ofman (1962), Multiplication of many-digital number
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 
-BLOCK = 16  # the number of points on either side of a product is rounded up to a multiple of this
 _MULTIPLICATIONS = 2**22  # for which it is worth to wake a thread
-_SHAPES = ((16, 16), (8, 16), (8, 8), (4, 8), (4, 4))  # rows and columns of products, the fastest first
+_SLAB = 256  # pairs of points that are transformed back together
+_FEW = 8  # columns: fewer are not worth to be turned
+_WIDE = 16  # columns that a processor takes at once, of a few instructions
 
 
 class Convolution(NamedTuple):
@@ -75,123 +75,202 @@ def transform(convolution: Convolution, histograms: np.ndarray, spectra: np.ndar
     over_rows(call, len(histograms), least=-(-_MULTIPLICATIONS // of_point))
 
 
-@cache
-def product_shape() -> tuple[int, int]:
-    """(rows, columns) of the matrix products of which a product of all points is composed.
+class Kind(NamedTuple):
+    """Which products `accumulate` makes."""
 
-    A pair's energy must not depend on which points are beside it. BLAS adds in another order for other shapes, and
-    some of its kernels (those for AVX2) also in different places of one product. So the shape is the largest one of
-    which all places give the same bits here; of a product of one row and one column that is always so.
-    """
-    random = np.random.default_rng(0)
-    for rows, columns in _SHAPES:
-        if all(_is_uniform(rows, columns, length, random) for length in (5, 48, 114, 256)):
-            return rows, columns
-    return 1, 1
+    crossed: bool = (
+        False  # the first half of the columns of either side with the second half of the other
+    )
+    symmetric: bool = False  # of points with themselves: pairs i, j < i may be left out
 
 
-def _is_uniform(rows: int, columns: int, length: int, random: np.random.Generator) -> bool:
-    """Whether all places of products of this shape, over `length`, give the same bits, in both uses in
-    `accumulate`."""
-    row, column = random.random((2, 1, length), np.float32)
-    product = np.repeat(row, rows, axis=0) @ np.repeat(column, columns, axis=0).T
-    several = random.random((37, length), np.float32)
-    transformed = several @ np.repeat(row.T, columns, axis=1)
-    return bool(np.all(product == product[0, 0]) and np.all(transformed == transformed[:, :1]))
-
-
-def multiply(row_spectra: np.ndarray, column_spectra: np.ndarray) -> np.ndarray:
-    """Products of all pairs of two spectra, summed over patches.
-
-    `row_spectra` (R, P, patches), `column_spectra` (R, Q, patches); P and Q are multiples of `BLOCK`. Returns
-    (R, P / rows, Q / columns, rows, columns), where (rows, columns) is `product_shape`.
-    """
-    rows, columns = product_shape()
-    products, length = len(row_spectra), row_spectra.shape[2]
-    left = row_spectra.reshape(products, -1, 1, rows, length)
-    right = column_spectra.reshape(products, 1, -1, columns, length).transpose(0, 1, 2, 4, 3)
-    return np.asarray(np.matmul(left, right))
-
-
-def inverse_transform(convolution: Convolution, blocks: np.ndarray) -> np.ndarray:
-    """Convolutions (p, rows, q, columns, steps) from the products (R, p, q, rows, columns) of `multiply`."""
-    pairs = blocks.transpose(1, 2, 3, 0, 4)  # (p, q, rows, R, columns)
-    return np.matmul(convolution.inverse, pairs).transpose(0, 2, 1, 4, 3)
-
-
-def packed_count(row_points: int, column_points: int) -> int:
-    """How many products of so few points with so few others one product of `product_shape` has room for."""
-    rows, columns = product_shape()
-    return min(rows // row_points, columns // column_points)
-
-
-def convolve_few(
-    convolution: Convolution, row_spectra: np.ndarray, column_spectra: np.ndarray
-) -> np.ndarray:
-    """(p, q, steps): what `accumulate` adds, of few points: spectra (R, p, patches) and (R, q, patches).
-
-    A product of one shape is mostly padding then. So several of the R are put into one, beside each other, and
-    of what comes out those of one of the R with itself are taken: the same bits, since place does not matter.
-    """
-    rows, columns = product_shape()
-    products, p, _ = row_spectra.shape
-    q, several = column_spectra.shape[1], packed_count(p, column_spectra.shape[1])
-    left, right = _packed(row_spectra, several, rows), _packed(column_spectra, several, columns)
-    blocks = np.matmul(left, right.transpose(0, 2, 1))[:, : several * p, : several * q]
-    of_each = np.einsum("gkpkq->pgkq", blocks.reshape(len(blocks), several, p, several, q))
-    pairs = np.zeros((p, len(blocks) * several, columns), np.float32)
-    pairs[:, :, :q] = of_each.reshape(p, -1, q)
-    steps = np.matmul(convolution.inverse, pairs[:, :products])
-    return np.asarray(steps[:, :, :q].transpose(0, 2, 1))
-
-
-def _packed(spectra: np.ndarray, several: int, size: int) -> np.ndarray:
-    """(R / several, size, patches) of spectra (R, n, patches): several R beside each other, then zeros."""
-    products, points, patches = spectra.shape
-    count = -(-products // several)
-    out = np.zeros((count, size, patches), np.float32)
-    for k in range(several):
-        of_k = spectra[k::several]
-        out[: len(of_k), k * points : (k + 1) * points] = of_k
-    return out
+PLAIN = Kind()
 
 
 def accumulate(
     convolution: Convolution,
-    row_spectra: np.ndarray,
-    column_spectra: np.ndarray,
+    rows: np.ndarray,
+    columns: np.ndarray,
     scratch: np.ndarray,
     out: np.ndarray,
+    some: tuple[slice, slice] = (slice(None), slice(None)),
+    kind: Kind = PLAIN,
 ) -> None:
-    """Add the convolutions of all pairs of histograms, summed over patches, to `out` (p, q, steps).
+    """Add the convolutions of all pairs of histograms, summed over patches, to `some` points and steps of `out`
+    (K, P, Q, steps): of each of K tables of points with the same one.
 
-    `row_spectra` (R, P, patches), `column_spectra` (R, Q, patches): transforms. P and Q are multiples of `BLOCK`;
-    rows beyond those of `out` are padding and left out. `scratch` (R, at least P Q).
+    `rows` (R, K, P, patches) and `columns` (R, K, Q, patches) are transforms; `scratch` (at least R K P times
+    points of Q,). The bits of a pair depend on no other pair; crossed, they are those with rows and columns
+    exchanged. BLAS adds in another order for other shapes and places, `_add_product` does not.
     """
-    points = out.shape[0], out.shape[1]
-    if packed_count(*points) > 1:
-        out += convolve_few(convolution, row_spectra[:, : points[0]], column_spectra[:, : points[1]])
-        return
-    products, p, q = len(row_spectra), row_spectra.shape[1], column_spectra.shape[1]
-    rows, columns = product_shape()
-    blocks = scratch[:, : p * q].reshape(products, p // rows, q // columns, rows, columns)
+    (products, tables, p, length), (q, steps) = rows.shape, out.shape[2:]
+    (start, stop, _), at = some[0].indices(q), some[1].indices(steps)[0]
+    spectra = scratch[: products * tables * p * (stop - start)].reshape(
+        products * tables, p, stop - start
+    )
+    wide = -(-(stop - start) // _WIDE) * _WIDE
+    left, right = (side.reshape(len(spectra), -1, length) for side in (rows, columns))
+    of_half = length // 2 if kind.crossed else length
 
-    # One product after the other for all blocks, so that both factors stay in the cache.
-    def call(first: int, last: int) -> None:
-        blocks[first:last] = multiply(row_spectra[first:last], column_spectra[first:last])
+    def make_scratch() -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((of_half, wide), np.float32), np.empty((4, wide), np.float32)
 
-    def transform_rows(first: int, last: int) -> None:
-        of_block = out[first * rows : last * rows]
-        used = len(of_block) if last - first == 1 else rows  # padding is not transformed
-        steps = inverse_transform(convolution, blocks[:, first:last, :, :used])
-        steps = steps.reshape((last - first) * used, q, out.shape[2])
-        of_block += steps[: len(of_block), : out.shape[1]]
+    over_rows(
+        _multiply, len(spectra), left, right, start, kind, spectra,
+        scratch=make_scratch, least=-(-_MULTIPLICATIONS // (p * (stop - start) * length)),
+    )  # fmt: skip
+    of_point = (stop - start) * convolution.inverse.size
+    back = spectra.reshape(products, -1)
+    over_rows(
+        _transform_back, tables * p, convolution.inverse, back, (start, stop, at), kind, out,
+        scratch=lambda: np.empty((len(convolution.inverse) + 3, _SLAB), np.float32),
+        least=-(-_MULTIPLICATIONS // of_point),
+    )  # fmt: skip
 
-    over_rows(call, products, least=-(-_MULTIPLICATIONS // (p * q * row_spectra.shape[2])))
-    of_block = rows * q * convolution.inverse.size
-    over_rows(transform_rows, p // rows, least=-(-_MULTIPLICATIONS // of_block))
+
+@kernel
+def _multiply(
+    first: int,
+    last: int,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    start: int,
+    kind: Kind,
+    out: np.ndarray,
+    scratch: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Fill `out` (R, P, points) with sums over patches of `rows` (R, P, patches) times `columns` (R, Q, patches)
+    from point `start` of Q on, of the R `first` to `last`."""
+    turned, sums = scratch
+    points, end, length = out.shape[1], out.shape[2], len(turned)
+    for r in range(first, last):
+        for half in range(2 if kind.crossed else 1):
+            of_row = half * length
+            of_column = length - of_row if kind.crossed else 0
+            if end >= _FEW:
+                _turn(columns[r], start, end, of_column, turned)
+            for i in range(0, points, 4):
+                begin = i // _WIDE * _WIDE if kind.symmetric else 0
+                sums[:, begin:] = 0.0
+                if end >= _FEW:
+                    _add_product(rows[r], i, of_row, turned, begin, turned.shape[1], sums, 0, 0)
+                else:
+                    _add_few(rows[r], i, of_row, columns[r], start, of_column, end, length, sums)
+                for n in range(min(4, points - i)):
+                    for j in range(begin, end):
+                        out[r, i + n, j] = sums[n, j] if half == 0 else out[r, i + n, j] + sums[n, j]
 
 
-def padded(count: int) -> int:
-    """A number of points, rounded up to whole blocks."""
-    return -(-count // BLOCK) * BLOCK
+@kernel
+def _transform_back(
+    first: int,
+    last: int,
+    inverse: np.ndarray,
+    spectra: np.ndarray,
+    place: tuple[int, int, int],
+    kind: Kind,
+    out: np.ndarray,
+    steps: np.ndarray,
+) -> None:
+    """Add to rows `first` to `last` of all tables of `out` (K, P, Q, steps) what `inverse` (steps, R) makes of
+    `spectra` (R, K P points); `place`: first and last of these points in Q, and the first step. `steps` (steps + 3,
+    slab) is scratch."""
+    points, count = out.shape[1], len(inverse)
+    start, stop, step = place
+    for row in range(first, last):
+        k, i = row // points, row % points
+        for begin in range(i if kind.symmetric else 0, stop - start, steps.shape[1]):
+            end = min(begin + steps.shape[1], stop - start)
+            steps[:] = 0.0
+            at = row * (stop - start) + begin
+            for t in range(0, count, 4):
+                _add_product(inverse, t, 0, spectra, at, at + end - begin, steps, t, at)
+            for j in range(begin, end):
+                for t in range(count):
+                    out[k, i, start + j, step + t] += steps[t, j - begin]
+
+
+@part(fastmath={"contract"})
+def _add_few(
+    left: np.ndarray,
+    i: int,
+    of_left: int,
+    right: np.ndarray,
+    start: int,
+    of_right: int,
+    count: int,
+    length: int,
+    sums: np.ndarray,
+) -> None:
+    """To `sums` (4, ·) the products of at most four rows from `i` on of `left` (P, ·) with `count` rows from
+    `start` on of `right` (Q, ·), over `length` columns from `of_left` and `of_right` on, as `_add_product` has
+    them: four sums at a time, each of which waits for its last product."""
+    last = start + count - 1
+    for n in range(min(4, len(left) - i)):
+        for j in range(start, start + count, 4):
+            k, l, m = min(j + 1, last), min(j + 2, last), min(j + 3, last)
+            s0, s1, s2, s3 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for c in range(length):
+                a, at = left[i + n, of_left + c], of_right + c
+                s0 += a * right[j, at]
+                s1 += a * right[k, at]
+                s2 += a * right[l, at]
+                s3 += a * right[m, at]
+            sums[n, m - start], sums[n, l - start], sums[n, k - start] = s3, s2, s1
+            sums[n, j - start] = s0
+
+
+@part
+def _turn(columns: np.ndarray, start: int, count: int, first: int, turned: np.ndarray) -> None:
+    """`turned` (patches, ·): `count` rows of `columns` (Q, ·) from `start` on, of which patches are those from
+    `first` on; some rows at a time, so that whole cache lines are written."""
+    for low in range(0, count, 16):
+        for c in range(len(turned)):
+            for j in range(low, min(low + 16, count)):
+                turned[c, j] = columns[start + j, first + c]
+
+
+@part(fastmath={"contract"})
+def _add_product(
+    left: np.ndarray,
+    i: int,
+    of_left: int,
+    right: np.ndarray,
+    low: int,
+    high: int,
+    out: np.ndarray,
+    into: int,
+    before: int,
+) -> None:
+    """Add four rows from `i` on of `left` (P, ·), from column `of_left` on, times columns `low` to `high` of
+    `right` (K, ·), to the rows from `into` on of `out`, whose columns begin at number `before`. Beyond the last
+    row of `left` it is that one again.
+
+    Every sum is over K in order, whatever else is made beside it. Columns are counted without a sign: Numba looks
+    at those that have one, and then does not take eight at a time.
+    """
+    length, last = len(right), len(left) - 1
+    j, k, l = min(i + 1, last), min(i + 2, last), min(i + 3, last)
+    begin, end, offset = np.uint64(low), np.uint64(high), np.uint64(before)
+    for c in range(0, length - 3, 4):  # sixteen numbers of `left` stay in registers
+        x = of_left + c
+        a0, a1, a2, a3 = left[i, x], left[i, x + 1], left[i, x + 2], left[i, x + 3]
+        b0, b1, b2, b3 = left[j, x], left[j, x + 1], left[j, x + 2], left[j, x + 3]
+        c0, c1, c2, c3 = left[k, x], left[k, x + 1], left[k, x + 2], left[k, x + 3]
+        d0, d1, d2, d3 = left[l, x], left[l, x + 1], left[l, x + 2], left[l, x + 3]
+        for n in range(begin, end):
+            m = n - offset
+            x0, x1, x2, x3 = right[c, n], right[c + 1, n], right[c + 2, n], right[c + 3, n]
+            out[into, m] = (((out[into, m] + a0 * x0) + a1 * x1) + a2 * x2) + a3 * x3
+            out[into + 1, m] = (((out[into + 1, m] + b0 * x0) + b1 * x1) + b2 * x2) + b3 * x3
+            out[into + 2, m] = (((out[into + 2, m] + c0 * x0) + c1 * x1) + c2 * x2) + c3 * x3
+            out[into + 3, m] = (((out[into + 3, m] + d0 * x0) + d1 * x1) + d2 * x2) + d3 * x3
+    for c in range(length - length % 4, length):
+        x = of_left + c
+        a0, b0, c0, d0 = left[i, x], left[j, x], left[k, x], left[l, x]
+        for n in range(begin, end):
+            m, x0 = n - offset, right[c, n]
+            out[into, m] += a0 * x0
+            out[into + 1, m] += b0 * x0
+            out[into + 2, m] += c0 * x0
+            out[into + 3, m] += d0 * x0

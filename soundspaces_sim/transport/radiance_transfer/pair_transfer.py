@@ -1,7 +1,6 @@
 """Energies between all pairs of points of two sides, both ways: E = sum over c of (4 / R_c) V_p(c) ∗ F_q(c).
 
-Patches are taken a chunk at a time (`patch_histograms`). All matrix products have one shape (`convolution`), so
-that a pair's bits depend on no other pair.
+Patches are taken a chunk at a time (`patch_histograms`). A pair's bits depend on no other pair (`convolution`).
 
 Where p and q are the same point, V and F have common subpaths. The products of a subpath with itself are left
 out, so that the remaining pairs are of independent subpaths, as between two points.
@@ -21,7 +20,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_products import (
     add_all_products,
     no_products,
 )
-from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, padded, transform
+from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Continuations,
     Reflections,
@@ -94,20 +93,14 @@ class _Workspace(NamedTuple):
 
     outgoing: np.ndarray  # (b, P, rows, columns)
     incident: np.ndarray  # (b, Q, rows, columns)
-    outgoing_spectra: np.ndarray  # (R, P', columns), P padded to whole blocks
-    incident_spectra: np.ndarray  # (R, Q', columns)
-    products: np.ndarray  # (R, P' Q') of as many of the Q as are held at once
+    outgoing_spectra: np.ndarray  # (R P columns,) of the stretch with the largest R
+    incident_spectra: np.ndarray  # (R Q columns,)
+    products: np.ndarray  # (R P Q,) of as many of the Q as are held at once
 
     def turned(self) -> _Workspace:
         """The same memory, for Q outgoing and P incident points."""
-        rows, columns = self.incident_spectra.shape[1], self.outgoing_spectra.shape[1]
-        number = rows * min(columns, COLUMNS)
-        products = self.products[:, :number]
-        if products.shape[1] < number:
-            products = np.empty((len(self.products), number), np.float32)
-        return _Workspace(
-            self.incident, self.outgoing, self.incident_spectra, self.outgoing_spectra, products
-        )
+        outgoing, incident, of_outgoing, of_incident, products = self
+        return _Workspace(incident, outgoing, of_incident, of_outgoing, products)
 
 
 def make_endpoints(walks: Walks) -> Endpoints:
@@ -179,14 +172,15 @@ def _by_batch(plan: TransferPlan, of: Endpoints, chunk: int) -> ByBatch:
 
 def _make_workspace(plan: TransferPlan, outgoing: int, incident: int) -> _Workspace:
     """For so many points of either end."""
-    rows, p, q = plan.steps.rows, padded(outgoing), padded(incident)
+    rows = plan.steps.rows
     products = max(len(stretch.convolution.forward) for stretch in plan.stretches)
+    at_once = max(outgoing * min(incident, COLUMNS), incident * min(outgoing, COLUMNS))
     return _Workspace(
         np.empty((plan.bands, outgoing, rows, plan.chunk), np.float32),
         np.empty((plan.bands, incident, rows, plan.chunk), np.float32),
-        np.zeros((products, p, plan.chunk), np.float32),
-        np.zeros((products, q, plan.chunk), np.float32),
-        np.empty((products, p * min(q, COLUMNS)), np.float32),
+        np.empty(products * outgoing * plan.chunk, np.float32),
+        np.empty(products * incident * plan.chunk, np.float32),
+        np.empty(products * at_once, np.float32),
     )
 
 
@@ -251,20 +245,21 @@ def _add_directed(plan: TransferPlan, chunk: int, outgoing: np.ndarray, directed
 
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:
     """Add V ∗ F, summed over the patches of a chunk, to `energy` (P, Q, late bins)."""
+    (p, q), chunk = energy.shape[:2], plan.chunk
     for stretch in plan.stretches:
         convolution, products = stretch.convolution, len(stretch.convolution.forward)
-        outgoing, incident = workspace.outgoing_spectra[:products], workspace.incident_spectra[:products]
+        outgoing = workspace.outgoing_spectra[: products * p * chunk].reshape(products, p, chunk)
+        incident = workspace.incident_spectra[: products * q * chunk].reshape(products, q, chunk)
         with stage("transforms"):
             transform(convolution, workspace.outgoing[band][:, stretch.rows], outgoing)
             transform(convolution, workspace.incident[band][:, stretch.rows], incident)
         with stage("products"):
-            count(products=products * energy.shape[0] * energy.shape[1] * plan.chunk)
-            for start in range(0, energy.shape[1], COLUMNS):
+            count(products=products * p * q * chunk)
+            for start in range(0, q, COLUMNS):
                 columns = slice(start, start + COLUMNS)
-                out = energy[:, columns, stretch.bins]
-                accumulate(
-                    convolution, outgoing, incident[:, columns], workspace.products[:products], out
-                )
+                places = columns, stretch.bins
+                sides = outgoing[:, None], incident[:, None]
+                accumulate(convolution, *sides, workspace.products, energy[None], places)
 
 
 def _subtract_own(plan: TransferPlan, of: Endpoints, to: Endpoints, energy: np.ndarray) -> None:

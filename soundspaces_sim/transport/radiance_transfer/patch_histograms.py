@@ -5,8 +5,8 @@ holds the same and what transfer subpaths add on further patches. By reciprocity
 what a patch scatters reaches the listener.
 
 Histograms are filled for a chunk of patches at a time, so that those of one point stay in the cache and those of
-all points in memory. Energies are decay-compensated and without air. Each batch of subpaths is also summed on its
-own, at a coarser resolution (`batch_variance`).
+all points in memory. Energies are decay-compensated and without air. All are also summed with the weight of one
+batch of subpaths raised, at a coarser resolution (`batch_variance`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.transport.radiance_transfer.batch_variance import (
+    RAISED,
     PatchGroups,
     Within,
     add_to_group,
@@ -47,7 +48,9 @@ class Histograms(NamedTuple):
     """Of N points, on a chunk of patches."""
 
     energy: np.ndarray  # (b, N, rows, columns)
-    batches: np.ndarray  # (b, N, moment rows, steps, groups)
+    batches: (
+        np.ndarray
+    )  # (b, N, moment rows, steps, groups): all batches with one raised, then rows of counts
     within: (
         np.ndarray
     )  # (b, N, 2, steps, groups): variances of sums over batches; of patches, `_store_within`
@@ -105,16 +108,22 @@ def _count_reflection(point: PointHistograms, reflections: Reflections, r: int, 
 
 @part
 def _store_point(point: PointHistograms, out: Histograms, i: int) -> None:
-    """Copy the histograms of one point to row `i`, bands first."""
+    """Copy the histograms of one point to row `i`, bands first, and raise the weight of each batch in its row."""
     energy, batches = point.energy, point.batches
     for b in range(energy.shape[2]):
         for row in range(energy.shape[0]):
             for c in range(energy.shape[1]):
                 out.energy[b, i, row, c] = energy[row, c, b]
-        for k in range(batches.shape[2]):
-            for t in range(batches.shape[0]):
-                for g in range(batches.shape[1]):
-                    out.batches[b, i, k, t, g] = batches[t, g, k, 0, b]
+        for t in range(batches.shape[0]):
+            for g in range(batches.shape[1]):
+                of_group, whole = batches[t, g], np.float32(0.0)
+                for k in range(BATCHES):
+                    whole += of_group[k, 0, b]
+                for k in range(batches.shape[2]):
+                    value = of_group[k, 0, b]
+                    if k < BATCHES:
+                        value = np.float32(1.0 - RAISED) * whole + np.float32(RAISED * BATCHES) * value
+                    out.batches[b, i, k, t, g] = value
 
 
 @part

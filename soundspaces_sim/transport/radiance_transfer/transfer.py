@@ -70,11 +70,8 @@ def _add_error_bars(
 
 
 def _of_band(products: ProductsByBatch, band: int) -> BatchProducts:
-    there, back = (
-        Crossed(way.taken[band, :, :, 0], way.counts[band]) for way in (products.there, products.back)
-    )
-    within_a, within_b = products.within_a[band, :, 0], products.within_b[band, :, 0]
-    return BatchProducts(products.of_a[band], products.of_b[band], within_a, within_b, there, back)
+    there, back = (Crossed(*(table[band] for table in way)) for way in (products.there, products.back))
+    return BatchProducts(*(table[band] for table in products[:4]), there, back)
 
 
 def _add_difference(difference: np.ndarray, energies: PairEnergies) -> None:
