@@ -76,6 +76,12 @@ class Model(Once):
     notes: tuple[str, ...] = ()  # on what was left to the job
     points: int = 0  # of the job
     asked: SimulationConfig | None = None  # the config before what it leaves to the job was decided
+    earlier: Model | None = None  # that of the first round, of a later one
+
+    @property
+    def first(self) -> Model:
+        """Of the first round: keeps what is the same in all of them."""
+        return self.earlier or self
 
     @property
     def scene(self) -> Scene:

@@ -121,7 +121,7 @@ def of_round(model: Model, number: int, subpaths: int) -> Model:
     """The model for a later round, of so many subpaths per point with random numbers of their own; whatever suits
     their number is decided anew."""
     asked = model.asked or model.config
-    fresh = replace(model, seed=int(combine(model.seed, number)) >> 1)
+    fresh = replace(model, seed=int(combine(model.seed, number)) >> 1, earlier=model.first)
     if asked.walks is not None:
         return fresh
     config = msgspec.structs.replace(asked, walks=subpaths)

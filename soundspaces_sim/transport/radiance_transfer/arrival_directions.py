@@ -105,7 +105,8 @@ def _convolve_moments(
     of Q points (Q, coarse rows, 9, D)."""
     (products, points, patches), (listeners, rows) = outgoing_spectra.shape, incident.shape[:2]
     spectra = np.empty((products, listeners, CHANNELS * patches), np.float32)
-    transform(convolution, incident.reshape(listeners, rows, -1), spectra)
+    histograms = incident.reshape(listeners, rows, -1)
+    np.matmul(convolution.forward, histograms, out=spectra.transpose(1, 0, 2))  # in a thread already
     moments = np.zeros((1, points, listeners * CHANNELS, len(convolution.inverse)), np.float32)
     scratch = np.empty(products * points * listeners * CHANNELS, np.float32)
     columns = spectra.reshape(products, 1, -1, patches)

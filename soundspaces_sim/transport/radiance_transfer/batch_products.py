@@ -21,7 +21,7 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import Stretch
 from soundspaces_sim.transport.tables import BATCHES
 
 _TOGETHER = 2**21  # products of points of as many batches are made at once
-_MULTIPLICATIONS = 2**22  # for which it is worth to wake a thread
+_MULTIPLICATIONS = 2**24  # for which it is worth to wake a thread
 
 
 class ByBatch(NamedTuple):

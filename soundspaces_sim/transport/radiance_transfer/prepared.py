@@ -137,15 +137,19 @@ def transfer_subpaths(model: Model) -> TransferSubpaths:
 def late_decay(model: Model) -> Decay:
     """By which late energies are compensated: `model.once(late_decay)`."""
     if model.config.radiance_transfer.subpaths == "own":
-        with stage("late decay"):
-            return pilot_decay(model.world, model.seed)
+        return model.first.once(_pilot_decay)
     subpaths = model.once(transfer_subpaths)
     return Decay(subpaths.decay, subpaths.reach)
 
 
+@stage("late decay")
+def _pilot_decay(model: Model) -> Decay:
+    return pilot_decay(model.world, model.seed)
+
+
 @stage("groups of patches")
 def patch_groups(model: Model) -> np.ndarray:
-    """(C,) groups of patches, for batch variances: `model.once(patch_groups)`."""
+    """(C,) groups of patches, for batch variances: `model.first.once(patch_groups)`."""
     return group_patches(model.world.geometry, model.world.patches)
 
 
