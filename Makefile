@@ -45,7 +45,7 @@ $(VENV)/.made: pyproject.toml
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.made
-	$(INSTALL) -e ".[figures]"
+	$(INSTALL) -e ".[figures]" -e ./neighbours/pictures
 	@touch $@
 
 $(VENV)/.tested: $(VENV)/.installed

@@ -18,11 +18,12 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+import soundspaces_pictures
 from matplotlib.figure import Figure
+from soundspaces_pictures.pages import draw_page
+from soundspaces_pictures.plot_data import PlotData, load_plot_data
 
 import soundspaces_sim as ss
-from soundspaces_sim.viz.pages import draw_page
-from soundspaces_sim.viz.plot_data import PlotData, load_plot_data
 
 OUT = Path(__file__).parent / "figures" / "gallery"
 #: Figures as wide as a page; all others are as wide as a column.
@@ -61,7 +62,7 @@ def decay() -> Figure:
     data = _demo()
     (echogram,) = data.echograms(18, np.array([2]), 1000)
     figure, ax = plt.subplots(figsize=(5.0, 3.6), layout="constrained")
-    ss.viz.draw_decay(ax, echogram)
+    soundspaces_pictures.draw_decay(ax, echogram)
     return figure
 
 
@@ -177,7 +178,9 @@ def main(names: list[str]) -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     for name in names or _figures():
         figure = _figures()[name]()
-        ss.viz.save_printed(figure, OUT / f"{name}.svg", "page" if name in WIDE else "column")
+        soundspaces_pictures.save_printed(
+            figure, OUT / f"{name}.svg", "page" if name in WIDE else "column"
+        )
         plt.close(figure)
 
 

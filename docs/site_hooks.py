@@ -99,7 +99,7 @@ def _alone(source: str, node: ast.FunctionDef) -> str:
     *body_lines, last = body.splitlines()
     drawn = last.removeprefix("return ")
     end = [] if drawn == "figure" else [f"figure = {drawn}"]
-    save = f'ss.viz.save_printed(figure, "{node.name}.pdf")'
+    save = f'soundspaces_pictures.save_printed(figure, "{node.name}.pdf")'
     need = "" if any("ss" in _bound(n) for n in imports) else "import soundspaces_sim as ss\n"
     return need + "\n\n".join([*blocks, "\n".join([*body_lines, *end, save])])
 

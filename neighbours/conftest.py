@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 from soundspaces_sim.scene import formats
-from tests.conftest import dataset_folder as dataset_folder
-from tests.conftest import echogram as echogram
-from tests.conftest import own_cache as own_cache
-from tests.conftest import own_cores as own_cores
-from tests.conftest import shared as shared
-from tests.conftest import small_scene as small_scene
+from tests.conftest import (
+    dataset_folder as dataset_folder,
+    echogram as echogram,
+    own_cache as own_cache,
+    own_cores as own_cores,
+    shared as shared,
+    small_scene as small_scene,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -10,10 +10,16 @@ import trimesh
 import soundspaces_sim as ss
 from neighbours.rlr_audio_propagation.tests import habitat_stand_in
 from tests.marks import ci_slow
-from tests.test_readme import PLAIN, blocks_of, quick, run_block, run_notebook
-from tests.test_readme import demo as demo
-from tests.test_readme import few_walks as few_walks
-from tests.test_readme import walls as walls
+from tests.test_readme import (
+    PLAIN,
+    blocks_of,
+    demo as demo,
+    few_walks as few_walks,
+    quick,
+    run_block,
+    run_notebook,
+    walls as walls,
+)
 
 HERE = Path(__file__).resolve().parent
 #: Every block of Python of the pages: page and number.

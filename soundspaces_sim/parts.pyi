@@ -3,89 +3,43 @@
 from .build.engines import (
     ENGINES,
     Engine,
-)
-from .build.engines import (
     Options as EngineOptions,
-)
-from .build.engines import (
     Task as TileTask,
-)
-from .build.engines import (
     Watch as TaskWatch,
-)
-from .build.engines import (
     refuse as refuse_task,
 )
-from .build.engines.capacity import (
-    choose_shape,
-)
-from .build.forecast import (
-    forecast,
-)
-from .build.rooms import (
-    ROOM_CONFIG,
-    in_processes,
-    room_named,
-)
-from .build.warm_up import (
-    WarmUp,
-)
-from .build.warm_up import (
-    start as compile_ahead,
-)
-from .build.worker import (
-    Done as TaskDone,
-)
-from .build.worker import (
-    work as work_tile,
-)
-from .cli.console import (
-    DAMAGED,
-    INTERRUPTED,
-    Meter,
-    run_app,
-    size_text,
-)
+from .build.engines.capacity import choose_shape
+from .build.forecast import forecast
+from .build.rooms import ROOM_CONFIG, in_processes, room_named
+from .build.warm_up import WarmUp, start as compile_ahead
+from .build.worker import Done as TaskDone, work as work_tile
+from .cli.console import DAMAGED, INTERRUPTED, Meter, run_app, size_text
 from .cli.options import (
     HrtfOption,
+    NoiseOption,
     ProfileOption,
     Read,
     RendererOption,
     ReplaceOption,
+    SpeechOption,
+    check_file as check_file_option,
     check_folder,
     check_renderer_option,
     need_matplotlib,
     open_found,
+    output_file,
     output_folder,
     read_settings,
     reported,
     shares,
+    speech_of,
     takes_scene,
 )
-from .core.config import (
-    DatasetConfig,
-    check_rate,
-)
-from .core.errors import (
-    EpisodeError,
-)
-from .core.extras import (
-    install_hint,
-)
-from .core.extras import (
-    need as need_extras,
-)
-from .core.interrupts import (
-    check as check_interrupts,
-)
-from .core.io.files import (
-    cache_root,
-    file_sha256,
-    make_folder,
-)
-from .core.io.files import (
-    publish as publish_file,
-)
+from .core.config import DatasetConfig, check_rate, differences as config_differences
+from .core.errors import EpisodeError
+from .core.extras import install_hint, need as need_extras
+from .core.interrupts import check as check_interrupts
+from .core.io.files import cache_root, file_sha256, make_folder, publish as publish_file
 from .core.io.hdf5 import (
     attribute,
     create_hdf5,
@@ -93,51 +47,18 @@ from .core.io.hdf5 import (
     open_hdf5,
     plain_dataset,
     read_numbers,
-)
-from .core.io.hdf5 import (
     written as written_hdf5,
 )
-from .core.io.resources import (
-    resource as packaged_file,
-)
-from .core.io.sofa import (
-    data_delay,
-    delayed,
-)
-from .core.io.sound import (
-    mono,
-    read_sound,
-)
-from .core.io.untrusted import (
-    MOST_JSON,
-    read_bytes,
-    read_json,
-    read_text,
-)
-from .core.keywords import (
-    check_keywords,
-)
-from .core.keywords import (
-    nearest as nearest_name,
-)
-from .core.limits import (
-    LEAST_DISTANCE,
-    require_within,
-)
-from .core.limits import (
-    LONGEST as LONGEST_RESPONSE,
-)
-from .core.memory import (
-    check_memory,
-    free_memory,
-)
-from .core.numerics.air import (
-    Air,
-)
+from .core.io.resources import resource as packaged_file
+from .core.io.sofa import data_delay, delayed
+from .core.io.sound import mono, read_sound
+from .core.io.untrusted import MOST_JSON, read_bytes, read_json, read_text
+from .core.keywords import check_keywords, nearest as nearest_name
+from .core.limits import LEAST_DISTANCE, LONGEST as LONGEST_RESPONSE, require_within
+from .core.memory import check_memory, free_memory
+from .core.numerics.air import Air
 from .core.numerics.axes import (
     CHANNELS as SECOND_ORDER_CHANNELS,
-)
-from .core.numerics.axes import (
     check_degrees,
     head_matrix,
     rotation_matrices,
@@ -157,200 +78,83 @@ from .core.numerics.kernel import (
     core_count,
     kernel,
     over_rows,
+    part as kernel_part,
     set_thread_count,
     thread_count,
 )
-from .core.numerics.kernel import (
-    part as kernel_part,
-)
-from .core.numerics.rng import (
-    combine as combine_keys,
-)
-from .core.numerics.rng import (
-    point_keys,
-)
-from .core.numerics.rows import (
-    unique_rows,
-)
-from .core.numerics.target import (
-    code_target,
-)
-from .core.numerics.threads import (
-    share_out,
-)
+from .core.numerics.rng import combine as combine_keys, point_keys
+from .core.numerics.rows import unique_rows
+from .core.numerics.target import code_target
+from .core.numerics.threads import share_out
 from .core.numerics.vec3 import (
     Vec3,
-)
-from .core.numerics.vec3 import (
     distance as point_distance,
-)
-from .core.numerics.vec3 import (
     dot as dot_product,
-)
-from .core.numerics.vec3 import (
     length as vector_length,
-)
-from .core.numerics.vec3 import (
     row as vector_row,
-)
-from .core.numerics.vec3 import (
     subtract as subtract_vectors,
 )
-from .core.platforms import (
-    exclusive as exclusive_file,
-)
-from .core.platforms import (
-    rename_open,
-)
-from .core.processes import (
-    end_with,
-    isolated_children,
-    worker_pool,
-)
-from .core.profile import (
-    adopt as adopt_profile,
-)
-from .core.profile import (
-    here as profile_here,
-)
-from .core.profile import (
-    stage as profile_stage,
-)
+from .core.platforms import exclusive as exclusive_file, rename_open
+from .core.processes import end_with, isolated_children, worker_pool
+from .core.profile import adopt as adopt_profile, here as profile_here, stage as profile_stage
 from .core.registry import (
     Entry as TableEntry,
-)
-from .core.registry import (
     check_name as check_entry_name,
-)
-from .core.registry import (
     find as find_entry,
-)
-from .core.registry import (
     names as entry_names,
+    of_neighbour,
 )
-from .core.simulation_config import (
-    number_text,
-    of_simulation,
-)
+from .core.simulation_config import DEFAULT_WALKS, number_text, of_simulation
+from .core.version import version_text
 from .dataset.exporters.plan import (
     ExportPlan,
+    Progress as ExportProgress,
     check_headings,
     choose_pairs,
-)
-from .dataset.exporters.plan import (
-    Progress as ExportProgress,
-)
-from .dataset.exporters.plan import (
     samples_of as response_samples_of,
 )
-from .dataset.exporters.points import (
-    HABITAT_HEIGHT,
-    habitat_graph,
-    points_text,
-)
-from .dataset.exporters.wav import (
-    HEADER as WAV_HEADER,
-)
-from .dataset.exporters.wav import (
-    wav_bytes,
-)
-from .dataset.format.card import (
-    MAKER,
-)
+from .dataset.exporters.points import HABITAT_HEIGHT, habitat_graph, points_text
+from .dataset.exporters.wav import HEADER as WAV_HEADER, wav_bytes
+from .dataset.format.card import MAKER
 from .dataset.format.collection_manifest import (
     CollectionManifest,
+    Failure as CollectionFailure,
+    beside as files_beside,
+    collected as collected_dataset,
     write_collection,
 )
-from .dataset.format.collection_manifest import (
-    Failure as CollectionFailure,
-)
-from .dataset.format.collection_manifest import (
-    beside as files_beside,
-)
-from .dataset.format.collection_manifest import (
-    collected as collected_dataset,
-)
-from .dataset.format.echogram_shard import (
-    EchogramShard,
-)
-from .dataset.format.floorplan import (
-    read_floorplan,
-)
+from .dataset.format.echogram_shard import EchogramShard
+from .dataset.format.floorplan import read_floorplan
 from .dataset.format.manifest import (
     NAME as MANIFEST_NAME,
-)
-from .dataset.format.manifest import (
     FileEntry,
+    Manifest,
     ShardEntry,
     read_manifest,
+    rebuild_command,
 )
-from .dataset.format.shard import (
-    FAILED as FAILED_PAIR,
-)
-from .dataset.format.shard import (
-    Shard,
-)
-from .dataset.format.shard import (
-    is_valid as is_valid_shard,
-)
-from .dataset.format.splits import (
-    SPLITS,
-    read_splits,
-    write_splits,
-)
-from .dataset.format.writing import (
-    encode_echograms,
-)
-from .dataset.labels import (
-    source_direction,
-)
-from .dataset.room_parameters.registry import (
-    PARAMETERS,
-    check_parameters,
-)
-from .dataset.room_parameters.table import (
-    ParameterTable,
-)
-from .dataset.sampling import (
-    as_pairs,
-    check_pairs,
-    pairs_of_two,
-)
-from .dataset.sampling import (
-    for_each as for_each_pair,
-)
-from .echogram.closure import (
-    MOST_GAIN,
-)
-from .echogram.directed import (
-    directed_table,
-)
-from .echogram.displaced import (
-    displaced,
-)
+from .dataset.format.shard import FAILED as FAILED_PAIR, Shard, is_valid as is_valid_shard
+from .dataset.format.splits import SPLITS, read_splits, write_splits
+from .dataset.format.writing import encode_echograms
+from .dataset.labels import source_direction
+from .dataset.room_parameters.registry import PARAMETERS, check_parameters
+from .dataset.room_parameters.table import ParameterTable
+from .dataset.sampling import as_pairs, check_pairs, for_each as for_each_pair, pairs_of_two
+from .dataset.undefined import undefined_times
+from .echogram.closure import MOST_GAIN
+from .echogram.directed import directed_table
+from .echogram.displaced import displaced
 from .echogram.echogram import (
     EDGE as KIND_EDGE,
-)
-from .echogram.echogram import (
     EDGE_MIRROR as KIND_EDGE_MIRROR,
-)
-from .echogram.echogram import (
     KINDS as ARRIVAL_KINDS,
-)
-from .echogram.echogram import (
     MIRRORS as KIND_MIRRORS,
-)
-from .echogram.echogram import (
     MIRRORS_AND_BACK as KIND_MIRRORS_AND_BACK,
-)
-from .echogram.echogram import (
     direct_arrival,
     without_arrivals,
 )
 from .echogram.filters import (
     FLOOR as FILTER_FLOOR,
-)
-from .echogram.filters import (
     air_left,
     air_spectrum,
     arrival_filters,
@@ -362,44 +166,26 @@ from .echogram.filters import (
     sinc_table,
     white_noise,
 )
-from .echogram.low_measures import (
-    LOW_MEASURES,
-    has_octave,
-    low_levels,
-    low_measures,
-    octaves_below,
-)
+from .echogram.low_measures import LOW_MEASURES, has_octave, low_levels, low_measures, octaves_below
 from .echogram.low_response import (
     CHANNELS as LOW_CHANNELS,
-)
-from .echogram.low_response import (
     LEAD_S,
     LowResponse,
+    band_gain as low_band_gain,
     lead_samples,
     response_rate,
     response_samples,
-)
-from .echogram.low_response import (
-    band_gain as low_band_gain,
-)
-from .echogram.low_response import (
     sphere as direction_grid,
 )
 from .echogram.material_spread import (
     logit_reproducibility,
     logits,
     measure_jacobian,
+    shares as absorption_shares,
     variety,
 )
-from .echogram.material_spread import (
-    shares as absorption_shares,
-)
-from .echogram.measure_errors import (
-    DIRECT_S,
-)
-from .echogram.measure_names import (
-    MEASURES,
-)
+from .echogram.measure_errors import DIRECT_S
+from .echogram.measure_names import MEASURES
 from .echogram.measures import (
     BIN_S,
     RANGES,
@@ -410,371 +196,123 @@ from .echogram.measures import (
     first_loud,
     levels_of,
 )
-from .echogram.reflection_counts import (
-    MOST_RATIO,
-    MaterialGroups,
-    between_windows,
-)
-from .echogram.refurnish import (
-    MOST_DB,
-    Materials,
-    closure_error_db,
-    window_strength,
-)
+from .echogram.reflection_counts import MOST_RATIO, MaterialGroups, between_windows
+from .echogram.refurnish import MOST_DB, Materials, closure_error_db, window_strength
+from .layout.floor_plan import make_floorplan
 from .layout.records import (
+    KEPT as POINT_KEPT,
+    NO_STANDING as POINT_NO_STANDING,
+    OUTSIDE as POINT_OUTSIDE,
+    TOO_CLOSE as POINT_TOO_CLOSE,
+    UNREACHABLE as POINT_UNREACHABLE,
+    FloorPlan,
     storeys_of,
 )
-from .nav.agents import (
-    BASELINES,
-    Agent,
-    Observation,
-    oracle_action,
-)
-from .nav.audio_sensor import (
-    RMS_AT_1_M,
-    seconds_of,
-)
-from .nav.audio_sensor import (
-    intensity as sound_intensity,
-)
-from .nav.cache import (
-    BlockCache,
-    LastUsed,
-)
-from .nav.depth import (
-    check_scene,
-    scene_of_dataset,
-)
+from .nav.agents import BASELINES, Agent, Observation, oracle_action
+from .nav.audio_sensor import RMS_AT_1_M, intensity as sound_intensity, seconds_of
+from .nav.cache import BlockCache, LastUsed
+from .nav.depth import check_scene, scene_of_dataset
 from .nav.env import (
     Setting as EnvSetting,
-)
-from .nav.env import (
     box as sensor_box,
-)
-from .nav.env import (
     check_rates,
     open_sounds,
     state_info,
     wanted_episode,
 )
-from .nav.env_options import (
-    env_options,
-)
-from .nav.episode_state import (
-    EpisodeState,
-)
-from .nav.episodes import (
-    FOLDER as EPISODES_FOLDER,
-)
-from .nav.episodes import (
-    split_file,
-)
-from .nav.episodes import (
-    unpacked as unpacked_episodes,
-)
-from .nav.evaluate import (
-    Interval,
-    load_result,
-)
-from .nav.evaluate import (
-    merge as merge_results,
-)
-from .nav.generate import (
-    EpisodeMaker,
-)
-from .nav.generate import (
-    Rules as EpisodeRules,
-)
-from .nav.map_page import (
-    MapPage,
-    draw_trail,
-)
-from .nav.navigation_graph import (
-    FORWARD,
-    HEADINGS,
-    LEFT,
-    RIGHT,
-    STOP,
-    heading_index,
-)
-from .nav.sensor_table import (
-    POINTGOAL,
-)
-from .nav.sensor_table import (
-    pointgoal as pointgoal_reading,
-)
-from .nav.sensors import (
-    SensorSuite,
-)
-from .nav.sounds import (
-    DEFAULT as DEFAULT_SOUND,
-)
-from .nav.synthetic_sounds import (
-    synthesise,
-)
-from .nav.task import (
-    SLACK as SLACK_REWARD,
-)
-from .nav.task import (
-    SUCCESS as SUCCESS_REWARD,
-)
-from .nav.task import (
-    EarMode,
-    TaskName,
-    as_sensors,
-)
+from .nav.env_options import env_options
+from .nav.episode_state import EpisodeState
+from .nav.episodes import FOLDER as EPISODES_FOLDER, split_file, unpacked as unpacked_episodes
+from .nav.evaluate import Interval, load_result, merge as merge_results
+from .nav.generate import EpisodeMaker, Rules as EpisodeRules
+from .nav.navigation_graph import FORWARD, HEADINGS, LEFT, RIGHT, STOP, heading_index
+from .nav.sensor_table import POINTGOAL, pointgoal as pointgoal_reading
+from .nav.sensors import SensorSuite
+from .nav.sounds import DEFAULT as DEFAULT_SOUND
+from .nav.synthetic_sounds import synthesise
+from .nav.task import SLACK as SLACK_REWARD, SUCCESS as SUCCESS_REWARD, EarMode, TaskName, as_sensors
 from .nav.views import (
     CAMERA_HEIGHT,
-    drawn_size,
-)
-from .nav.views import (
     check_size as check_picture_size,
-)
-from .nav.views import (
+    drawn_size,
     normalise as normalise_depth,
-)
-from .nav.views import (
     shrink as shrink_views,
 )
-from .rendering.air import (
-    hop_and_ring,
-    hop_filters,
-)
-from .rendering.ambisonics import (
-    band_plans,
-    pair_seed,
-    response_length,
-    transform_size,
-)
-from .rendering.binaural import (
-    decoder_transform,
-)
-from .rendering.decoder import (
-    Equalisation,
-    Method,
-    decoder_filters,
-    direction_filters,
-)
-from .rendering.dry import (
-    hand_clap,
-    music,
-    syllables,
-)
-from .rendering.ears import (
-    NEAR_M,
-    as_ears,
-    near_field_gains,
-)
-from .rendering.harmonics import (
-    harmonics_n3d,
-    harmonics_sn3d,
-    n3d_gains,
-)
-from .rendering.higher_orders import (
-    WAVES as HIGH_ORDER_WAVES,
-)
-from .rendering.higher_orders import (
-    check_order,
-)
-from .rendering.hrtf import (
-    Hrtf,
-)
-from .rendering.low_band import (
-    at_microphones as waves_at_microphones,
-)
-from .rendering.low_band import (
-    below as waves_below,
-)
-from .rendering.low_band import (
-    gain_above,
-)
-from .rendering.seed_paper import (
-    band_noise,
-)
+from .rendering.air import hop_and_ring, hop_filters
+from .rendering.ambisonics import band_plans, pair_seed, response_length, transform_size
+from .rendering.auralise import convolve as convolve_sound
+from .rendering.binaural import decoder_transform
+from .rendering.decoder import Equalisation, Method, decoder_filters, direction_filters
+from .rendering.dry import hand_clap, music, syllables
+from .rendering.ears import NEAR_M, as_ears, near_field_gains
+from .rendering.harmonics import harmonics_n3d, harmonics_sn3d, n3d_gains
+from .rendering.higher_orders import WAVES as HIGH_ORDER_WAVES, check_order
+from .rendering.hrtf import Hrtf
+from .rendering.low_band import at_microphones as waves_at_microphones, below as waves_below, gain_above
+from .rendering.seed_paper import band_noise
 from .rendering.smooth import (
     LANES as SMOOTH_LANES,
-)
-from .rendering.smooth import (
     continued as continued_decay,
-)
-from .rendering.smooth import (
     energies as smooth_energies,
-)
-from .rendering.smooth import (
     step_plans,
 )
-from .rendering.soundfield import (
-    Convention,
-)
-from .rendering.soundfield import (
-    convert as convert_ambisonics,
-)
+from .rendering.soundfield import Convention, convert as convert_ambisonics
 from .rendering.synthesis import (
     cut_frames,
     join_frames,
     make_scratch,
-)
-from .rendering.synthesis import (
     modulate as modulate_noise,
-)
-from .rendering.synthesis import (
     place as place_responses,
 )
 from .rendering.waves import (
     LANES as WAVE_LANES,
-)
-from .rendering.waves import (
     WAVES as PLANE_WAVES,
-)
-from .rendering.waves import (
     WaveField,
     shared_energy,
     turned_lattice,
 )
-from .scene.enclosure import (
-    check_ends,
-    check_inside,
-    closedness,
-)
+from .scene.enclosure import check_ends, check_inside, closedness
 from .scene.formats.limits import (
     check_ply,
     open_mesh,
     parse_xml,
     ply_header,
-)
-from .scene.formats.limits import (
     unpacked as unpacked_archive,
 )
-from .scene.formats.matterport import (
-    find_matterport,
-)
+from .scene.formats.matterport import find_matterport
 from .scene.formats.octave_material import (
     OCTAVES as MATERIAL_OCTAVES,
-)
-from .scene.formats.octave_material import (
     SCATTERING as MATERIAL_SCATTERING,
-)
-from .scene.formats.octave_material import (
     octave_material,
 )
-from .scene.formats.ply import (
-    Elements as PlyElements,
-)
-from .scene.formats.ply import (
-    Lists as PlyLists,
-)
-from .scene.formats.ply import (
-    read_labelled_ply,
-)
-from .scene.frame import (
-    UNITS as LENGTH_UNITS,
-)
-from .scene.labelled import (
-    LabelledMesh,
-    SceneFormat,
-)
-from .scene.materials import (
-    FREE,
-    load_materials,
-)
-from .scene.materials import (
-    limit as limit_transmission,
-)
-from .scene.materials import (
-    overlay as overlay_tables,
-)
-from .scene.porous_layers import (
-    mounted as mounted_layers,
-)
-from .scene.rays.directions import (
-    INV_4PI,
-)
-from .scene.rays.geometry import (
-    Geometry,
-    cast_ray,
-    unoccluded,
-)
-from .scene.section import (
-    section,
-)
-from .scene.storeys import (
-    floor_heights,
-)
+from .scene.formats.ply import Elements as PlyElements, Lists as PlyLists, read_labelled_ply
+from .scene.frame import UNITS as LENGTH_UNITS
+from .scene.labelled import LabelledMesh, SceneFormat
+from .scene.materials import FREE, limit as limit_transmission, load_materials, overlay as overlay_tables
+from .scene.porous_layers import mounted as mounted_layers
+from .scene.rays.directions import INV_4PI
+from .scene.rays.geometry import Geometry, cast_ray, unoccluded
+from .scene.section import section
+from .scene.storeys import floor_heights
 from .scene.walkable import (
     Columns as FloorColumns,
-)
-from .scene.walkable import (
     find_floors,
+    neighbours as neighbouring_cells,
     walk_straight,
 )
-from .scene.walkable import (
-    neighbours as neighbouring_cells,
-)
-from .transport.arrivals.images import (
-    beside_edge,
-    image_of,
-    reflection_point,
-)
-from .transport.arrivals.images import (
-    bounce as mirror_bounce,
-)
-from .transport.arrivals.prepared import (
-    prepare_planes,
-    prepare_wedges,
-)
-from .transport.arrivals.specular_planes import (
-    SpecularPlanes,
-    group_planes,
-)
-from .transport.arrivals.technique import (
-    DIRECT as DIRECT_SOUND,
-)
-from .transport.arrivals.wedges import (
-    Wedges,
-)
-from .transport.bsdf.impedance import (
-    flow_resistance,
-)
-from .transport.bsdf.impedance import (
-    impedance as surface_impedance,
-)
-from .transport.discrete_paths import (
-    SimulatedPaths,
-)
-from .transport.integrator import (
-    simulate_tile,
-)
-from .transport.model import (
-    Model,
-    PreparedScene,
-    air_transmission,
-)
-from .transport.preparation import (
-    at_points,
-    prepare_scene,
-)
-from .transport.simulate import (
-    as_points,
-    model_between,
-    simulate_between,
-    simulate_pairs,
-    with_notes,
-)
-from .transport.techniques import (
-    TECHNIQUES,
-)
-from .viz.html_page import (
-    write_page,
-)
-from .viz.plan import (
-    BLUE as PLOT_BLUE,
-)
-from .viz.plan import (
-    VERMILION as PLOT_RED,
-)
-from .viz.report import (
-    png,
-)
+from .transport.arrivals.images import beside_edge, bounce as mirror_bounce, image_of, reflection_point
+from .transport.arrivals.prepared import prepare_planes, prepare_wedges
+from .transport.arrivals.specular_planes import SpecularPlanes, group_planes
+from .transport.arrivals.technique import DIRECT as DIRECT_SOUND
+from .transport.arrivals.wedges import Wedges
+from .transport.bsdf.impedance import flow_resistance, impedance as surface_impedance
+from .transport.discrete_paths import SimulatedPaths
+from .transport.integrator import simulate_tile
+from .transport.low_method import installed as installed_low_method
+from .transport.model import Model, PreparedScene, air_transmission
+from .transport.preparation import at_points, prepare_scene
+from .transport.simulate import as_points, model_between, simulate_between, simulate_pairs, with_notes
+from .transport.techniques import TECHNIQUES
 
 __all__ = [
     "ARRIVAL_KINDS",
@@ -784,6 +322,7 @@ __all__ = [
     "DAMAGED",
     "DEFAULT_BANDS",
     "DEFAULT_SOUND",
+    "DEFAULT_WALKS",
     "DIRECT_S",
     "DIRECT_SOUND",
     "ENGINES",
@@ -821,9 +360,12 @@ __all__ = [
     "NEAR_M",
     "PARAMETERS",
     "PLANE_WAVES",
-    "PLOT_BLUE",
-    "PLOT_RED",
     "POINTGOAL",
+    "POINT_KEPT",
+    "POINT_NO_STANDING",
+    "POINT_OUTSIDE",
+    "POINT_TOO_CLOSE",
+    "POINT_UNREACHABLE",
     "RANGES",
     "RIGHT",
     "RMS_AT_1_M",
@@ -858,6 +400,7 @@ __all__ = [
     "ExportProgress",
     "FileEntry",
     "FloorColumns",
+    "FloorPlan",
     "Geometry",
     "Hrtf",
     "HrtfOption",
@@ -865,12 +408,13 @@ __all__ = [
     "LabelledMesh",
     "LastUsed",
     "LowResponse",
-    "MapPage",
+    "Manifest",
     "MaterialGroups",
     "Materials",
     "Meter",
     "Method",
     "Model",
+    "NoiseOption",
     "Observation",
     "ParameterTable",
     "PlyElements",
@@ -886,6 +430,7 @@ __all__ = [
     "ShardEntry",
     "SimulatedPaths",
     "SpecularPlanes",
+    "SpeechOption",
     "TableEntry",
     "TaskDone",
     "TaskName",
@@ -922,6 +467,7 @@ __all__ = [
     "check_edges",
     "check_ends",
     "check_entry_name",
+    "check_file_option",
     "check_folder",
     "check_headings",
     "check_inside",
@@ -945,8 +491,10 @@ __all__ = [
     "collected_dataset",
     "combine_keys",
     "compile_ahead",
+    "config_differences",
     "continued_decay",
     "convert_ambisonics",
+    "convolve_sound",
     "core_count",
     "create_hdf5",
     "cut_frames",
@@ -961,7 +509,6 @@ __all__ = [
     "direction_grid",
     "displaced",
     "dot_product",
-    "draw_trail",
     "drawn_size",
     "echograms_measures",
     "encode_echograms",
@@ -997,6 +544,7 @@ __all__ = [
     "in_our_words",
     "in_processes",
     "install_hint",
+    "installed_low_method",
     "is_valid_shard",
     "isolated_children",
     "join_frames",
@@ -1014,6 +562,7 @@ __all__ = [
     "low_band_gain",
     "low_levels",
     "low_measures",
+    "make_floorplan",
     "make_folder",
     "make_scratch",
     "measure_jacobian",
@@ -1036,12 +585,14 @@ __all__ = [
     "number_text",
     "octave_material",
     "octaves_below",
+    "of_neighbour",
     "of_simulation",
     "open_found",
     "open_hdf5",
     "open_mesh",
     "open_sounds",
     "oracle_action",
+    "output_file",
     "output_folder",
     "over_rows",
     "overlay_tables",
@@ -1052,7 +603,6 @@ __all__ = [
     "place_responses",
     "plain_dataset",
     "ply_header",
-    "png",
     "point_distance",
     "point_keys",
     "pointgoal_reading",
@@ -1073,6 +623,7 @@ __all__ = [
     "read_sound",
     "read_splits",
     "read_text",
+    "rebuild_command",
     "reflection_point",
     "refuse_task",
     "rename_open",
@@ -1103,6 +654,7 @@ __all__ = [
     "smooth_energies",
     "sound_intensity",
     "source_direction",
+    "speech_of",
     "spherical_harmonics",
     "split_file",
     "state_info",
@@ -1116,6 +668,7 @@ __all__ = [
     "thread_count",
     "transform_size",
     "turned_lattice",
+    "undefined_times",
     "unique_rows",
     "unoccluded",
     "unpacked_archive",
@@ -1123,6 +676,7 @@ __all__ = [
     "variety",
     "vector_length",
     "vector_row",
+    "version_text",
     "walk_straight",
     "wanted_episode",
     "wav_bytes",
@@ -1135,7 +689,6 @@ __all__ = [
     "work_tile",
     "worker_pool",
     "write_collection",
-    "write_page",
     "write_splits",
     "written_hdf5",
 ]

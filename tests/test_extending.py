@@ -89,8 +89,9 @@ def test_a_renderer_and_an_exporter(
 
 
 def test_a_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    from soundspaces_pictures import registry
+
     from soundspaces_sim.core.registry import find
-    from soundspaces_sim.viz import registry
 
     pages: Any = registry.PAGES
     monkeypatch.setitem(pages, "toy", Entry(f"{__name__}:click", "a toy"))

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim import echogram, nav, parts, rendering, viz
+from soundspaces_sim import echogram, nav, parts, rendering
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted(ROOT.glob("neighbours/*/src/**/*.py"))
 #: What a neighbour may import of the core, and the names there.
 PUBLIC = {
     module.__name__: set(module.__all__) | {"__version__"}
-    for module in (ss, echogram, nav, parts, rendering, viz)
+    for module in (ss, echogram, nav, parts, rendering)
 }
 
 

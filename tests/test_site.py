@@ -87,7 +87,7 @@ def _documented() -> set[str]:
 def _public() -> dict[str, str | None]:
     """Where every public name is defined, by the name as users have it; `errors` stands for what is in it."""
     out: dict[str, str | None] = {}
-    for package in ("", ".viz", ".nav"):
+    for package in ("", ".nav"):
         stub = ROOT / "soundspaces_sim" / package.strip(".") / "__init__.pyi"
         for node in ast.parse(stub.read_text("utf-8")).body:
             if isinstance(node, ast.ImportFrom):

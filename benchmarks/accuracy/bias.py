@@ -23,8 +23,7 @@ from benchmarks.tools.record import Table, table
 from benchmarks.tools.scenes import house, one_material
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
-from tests.rooms import box, two_rooms
-from tests.rooms import table as materials
+from tests.rooms import box, table as materials, two_rooms
 
 WINDOWS_S = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.35))
 POINTS = 8

@@ -24,8 +24,7 @@ from soundspaces_sim.rendering.renderers import find_renderer
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-
-from soundspaces_sim.viz.response import draw_spectrogram
+from soundspaces_pictures.response import draw_spectrogram
 
 RATE = 44100
 WALKS = 400

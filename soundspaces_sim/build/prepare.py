@@ -17,8 +17,7 @@ from soundspaces_sim.build.plan import JobPlan, make_plan
 from soundspaces_sim.core.config import JobConfig, differences
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import make_folder, publish, remove_stale
-from soundspaces_sim.dataset.format.floorplan import NAME as FLOORPLAN
-from soundspaces_sim.dataset.format.floorplan import encode_floorplan
+from soundspaces_sim.dataset.format.floorplan import NAME as FLOORPLAN, encode_floorplan
 from soundspaces_sim.dataset.format.manifest import NAME, Manifest, read_manifest, write_manifest
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.grid import grid_at, make_grid

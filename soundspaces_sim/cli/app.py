@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from soundspaces_sim.cli import datasets, jobs, nav, neighbours, pictures, simulation
+from soundspaces_sim.cli import datasets, jobs, nav, neighbours, simulation
 from soundspaces_sim.cli.console import run_app, set_up_logging
 from soundspaces_sim.core.version import version_text
 
@@ -48,9 +48,6 @@ for command in (
     datasets.cite,
     datasets.pack,
     datasets.export,
-    pictures.plot,
-    pictures.listen,
-    pictures.report,
 ):
     app.command()(command)
 for name, (_, text) in neighbours.COMMANDS.items():

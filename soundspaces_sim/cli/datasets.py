@@ -41,8 +41,7 @@ def verify(
     full: Annotated[bool, typer.Option("--full", help="Compare every byte (SHA-256).")] = False,
 ) -> None:
     """Check a dataset's files against its manifest and schema, or a collection's against collection.json."""
-    from soundspaces_sim.dataset.format import collection_manifest
-    from soundspaces_sim.dataset.format import verify as verification
+    from soundspaces_sim.dataset.format import collection_manifest, verify as verification
 
     if (dataset / collection_manifest.NAME).is_file():
         made, problems = collection_manifest.verify_collection(dataset, full)

@@ -17,9 +17,12 @@ from soundspaces_sim.core.io.untrusted import read_toml
 from soundspaces_sim.core.keywords import did_you_mean
 from soundspaces_sim.core.limits import require, require_between, require_whole
 from soundspaces_sim.core.settings import Settings, choices_of, flat, without_null
-from soundspaces_sim.core.simulation_config import DEFAULT_TIME_GRID as DEFAULT_TIME_GRID
-from soundspaces_sim.core.simulation_config import SimulationConfig as SimulationConfig
-from soundspaces_sim.core.simulation_config import of_dataset, with_switches
+from soundspaces_sim.core.simulation_config import (
+    DEFAULT_TIME_GRID as DEFAULT_TIME_GRID,
+    SimulationConfig as SimulationConfig,
+    of_dataset,
+    with_switches,
+)
 
 
 def check_rate(rate: float, name: str = "rate") -> int:

@@ -15,6 +15,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import need
+from soundspaces_sim.core.registry import Entry, of_neighbour
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env_options import EnvOptions, env_options
@@ -35,6 +36,7 @@ import gymnasium as gymnasium  # noqa: E402 - after it is known to be there
 from gymnasium import spaces as spaces  # noqa: E402
 from gymnasium.error import InvalidAction, ResetNeeded  # noqa: E402
 
+_MAP = Entry("soundspaces_pictures.episode_map:map_frame", "the map of an episode", "pictures")
 PREFIX = "SoundSpaces"
 GROUP = "soundspaces_sim.environments"  # of entry points: functions by which neighbours register theirs
 
@@ -238,9 +240,8 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         return self._draw(self.setting.data.dataset(self.state.episode.scene), self.state)
 
     def _draw(self, dataset: RirDataset, state: Any) -> np.ndarray:
-        from soundspaces_sim.nav.map_page import map_frame  # matplotlib
-
-        return map_frame(dataset, state, self.trail)
+        drawn: np.ndarray = of_neighbour("a picture", _MAP)(dataset, state, self.trail)
+        return drawn
 
     def close(self) -> None:
         """Close the datasets' files."""

@@ -10,8 +10,7 @@ from typing import Literal, get_args
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.keywords import nearest
 from soundspaces_sim.nav.audio_sensor import PadMode
-from soundspaces_sim.nav.sensor_table import POINTGOAL as POINTGOAL
-from soundspaces_sim.nav.sensor_table import SENSOR_TABLE
+from soundspaces_sim.nav.sensor_table import POINTGOAL as POINTGOAL, SENSOR_TABLE
 from soundspaces_sim.nav.views import check_size
 
 TaskName = Literal["AudioGoal", "AudioPointGoal", "PointGoal"]

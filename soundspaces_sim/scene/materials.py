@@ -8,8 +8,7 @@ share of the reflected rest is the scattering.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from dataclasses import field as dataclass_field
+from dataclasses import dataclass, field as dataclass_field
 from functools import reduce
 from pathlib import Path
 from typing import Any

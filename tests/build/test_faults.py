@@ -30,8 +30,7 @@ from tests.command_line import run_command
 from tests.conftest import small_job
 from tests.golden.make import values
 from tests.marks import ci_slow
-from tests.rooms import table as materials
-from tests.rooms import two_rooms
+from tests.rooms import table as materials, two_rooms
 
 ROOT = Path(__file__).resolve().parents[2]
 

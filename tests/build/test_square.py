@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.build import estimate
-from soundspaces_sim.build import tile as tiles_of
+from soundspaces_sim.build import estimate, tile as tiles_of
 from soundspaces_sim.build.plan import JobPlan
 from soundspaces_sim.build.prepare import open_dataset_job
 from soundspaces_sim.build.square import squares

@@ -60,7 +60,6 @@ def test_scene_options_are_those_of_load_scene(command: str) -> None:
     ("command", "names"),
     [
         ("export", "soundspaces-v1, sofa, huggingface, lhotse, ambisonics, iso3382, wav or webdataset"),
-        ("plot", "map, field, overview, lobes, decay, rir, parameter, modes or error"),
         ("rirs", "Engine that runs the tiles: local, dask, slurm or ray"),
     ],
 )

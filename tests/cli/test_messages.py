@@ -63,20 +63,12 @@ def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) ->
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("plot", "demo", "--what", "map", "--animate", "--out", "p.png"), "--animate: only --what field"),
-        (("plot", "demo", "--animate", "--out", "p.png"), r"--out p\.png: expected a name that ends in \.gif"),
-        (("plot", "demo", "--animate", "--source", "3"), "--animate moves the source"),
-        (("plot", "demo", "--print", "poster"), "--print: expected column or page, got 'poster'"),
-        (("plot", "demo", "--out", "p.xyz"), r"ends in \.png, \.svg, \.pdf"),
-        (("plot", "demo", "--out", "nowhere/p.png"), "there is no folder nowhere"),
-        (("plot", "demo", "--what", "portrait"), "--what: expected map, field, overview, lobes, decay, rir, parameter, modes or error"),
         (
             ("export", "mp3", "."),
             "layout: expected soundspaces-v1, sofa, huggingface, lhotse, ambisonics, iso3382, wav or webdataset, got 'mp3'",
         ),
         (("export", "wav", ".", "--name", "mp3d"), "name: layout wav has no such option"),
         (("export", "wav", ".", "--renderer", "x"), "--renderer: expected default, smooth, paper or direct, got 'x'"),
-        (("listen", ".", "--renderer", "x"), "--renderer: expected default, smooth, paper or direct, got 'x'"),
         (("export", "wav", ".", "--hrtf", "missing.sofa"), "missing.sofa: cannot open this SOFA file"),
         (("export", "sofa", ".", "--heading", "0"), "--heading: layout sofa has no such option; it has: .*pairs"),
         (("export", "wav", ".", "--heading", "nan"), "--heading: expected different degrees from 0 to below 360, got"),
@@ -84,7 +76,6 @@ def test_a_file_is_blamed_for_a_file(tmp_path: Path, text: str, message: str) ->
         (("export", "wav", "gone", "--out", "/dev/null/x"), "--out /dev/null/x: expected a folder"),
         (("table", "gone", "--out", "t.xls"), r"--out t\.xls: expected a name that ends in \.csv, \.parquet"),
         (("table", "gone", "--out", "nowhere/t.csv"), "--out nowhere/t.csv: there is no folder nowhere"),
-        (("report", "gone", "--out", "nowhere/t.html"), "--out nowhere/t.html: there is no folder nowhere"),
         (("export", "wav", ".", "--rate", "0"), "--rate: expected 8000 to 192000 Hz, a whole number, got 0"),
     ],
 )  # fmt: skip

@@ -21,7 +21,6 @@ def dataset(dataset_folder: Path, tmp_path: Path) -> Path:
     [
         ("export", "wav", "room", "--out", "room"),
         ("export", "sofa", "room", "--out", "room/sofa"),
-        ("listen", "room", "--out", "room"),
         ("rirs", "demo", "--out", "room"),
     ],
 )
@@ -37,7 +36,6 @@ def test_nothing_is_written_into_a_dataset(dataset: Path, command: tuple[str, ..
     [
         (("table", "room"), "pairs.csv"),
         (("table", "room", "--octaves", "--parameters", "c80", "--source", "0"), "parameters.csv"),
-        (("plot", "room", "--what", "map"), "*_map.png"),
     ],
 )
 def test_a_datasets_files_go_beside_it_and_are_not_replaced_unasked(

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from importlib import import_module
 
 import pytest
+from soundspaces_pictures.registry import PAGES
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.engines import ENGINES, find_engine
 from soundspaces_sim.core.registry import Entry, find, names
 from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
 from soundspaces_sim.rendering.renderers import RENDERERS, check_renderer, find_renderer
-from soundspaces_sim.viz.registry import PAGES
 
 TABLES = [RENDERERS, EXPORTERS, PAGES, ENGINES]
 

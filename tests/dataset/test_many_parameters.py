@@ -13,8 +13,7 @@ from soundspaces_sim.build import estimate
 from soundspaces_sim.build.prepare import plan_job
 from soundspaces_sim.dataset.room_parameters import table
 from tests.command_line import run_command
-from tests.rooms import box, plain
-from tests.rooms import table as walls
+from tests.rooms import box, plain, table as walls
 
 
 def test_processes_give_what_threads_give(dataset_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from soundspaces_pictures.report import write_report
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig
@@ -14,7 +15,6 @@ from soundspaces_sim.echogram.material_spread import reproducibility, variety
 from soundspaces_sim.echogram.measures import room_measures
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db
-from soundspaces_sim.viz.report import write_report
 from tests.command_line import run_command
 from tests.marks import ci_slow
 from tests.rooms import box, plain

@@ -11,8 +11,7 @@ import pytest
 
 pytest.importorskip("numba_cuda", reason="numba-cuda is not installed")
 
-from numba import cuda as gpu
-from numba import types
+from numba import cuda as gpu, types
 
 from soundspaces_sim.scene.rays import hierarchy
 

@@ -1,6 +1,8 @@
 """Fixtures of tests/nav."""
 
-from tests.nav.conftest import data as data
-from tests.nav.conftest import graphs as graphs
-from tests.nav.conftest import seen_data as seen_data
-from tests.nav.conftest import two_nodes as two_nodes
+from tests.nav.conftest import (
+    data as data,
+    graphs as graphs,
+    seen_data as seen_data,
+    two_nodes as two_nodes,
+)

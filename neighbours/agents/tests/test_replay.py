@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from soundspaces_pictures.episode_map import goal_field
 
 import soundspaces_sim as ss
 from soundspaces_sim.nav.agents import Observation
@@ -12,7 +13,6 @@ from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env import AudioNavEnv
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.generate import make_episodes
-from soundspaces_sim.nav.map_page import goal_field
 from soundspaces_sim.nav.task import POINTGOAL
 from tests.nav.conftest import T_CORRIDOR
 

@@ -131,8 +131,7 @@ def test_who_is_tested_in_which_acoustics() -> None:
 def test_each_run_hears_its_own_acoustics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Datasets, renderers and ears as training and testing get them, of a study of three small worlds."""
     pytest.importorskip("torch", reason="the extra `train` is not installed")
-    from soundspaces_agents import learn
-    from soundspaces_agents import pipeline as stages
+    from soundspaces_agents import learn, pipeline as stages
     from soundspaces_agents.study import open_test
 
     def build(

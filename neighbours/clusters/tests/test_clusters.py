@@ -19,8 +19,7 @@ from soundspaces_sim.build.build import build_dataset
 from soundspaces_sim.build.engines import ENGINES, Task, Watch, find_engine, read_options
 from soundspaces_sim.build.wait import wait_for
 from soundspaces_sim.build.worker import Done
-from tests.build.test_engines import ROOT, hashes, signal_one
-from tests.build.test_engines import whole as whole
+from tests.build.test_engines import ROOT, hashes, signal_one, whole as whole
 from tests.conftest import small_job
 from tests.marks import ci_slow
 

@@ -6,8 +6,7 @@ import numpy as np
 from soundspaces_explorer import payloads
 
 import soundspaces_sim as ss
-from neighbours.waves.tests.test_low_clients import ds as ds
-from neighbours.waves.tests.test_low_clients import folder as folder
+from neighbours.waves.tests.test_low_clients import ds as ds, folder as folder
 from soundspaces_sim.echogram.low_measures import low_levels, octaves_below
 
 

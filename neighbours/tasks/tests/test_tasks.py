@@ -7,8 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from soundspaces_tasks import Setting, TaskResult, fits, open_setting, run_tasks
-from soundspaces_tasks import __main__ as tasks_command
+from soundspaces_tasks import (
+    Setting,
+    TaskResult,
+    __main__ as tasks_command,
+    fits,
+    open_setting,
+    run_tasks,
+)
 from soundspaces_tasks.baselines import gathered
 from soundspaces_tasks.registry import NETWORKS, TASKS
 from soundspaces_tasks.report import page

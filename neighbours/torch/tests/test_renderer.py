@@ -23,9 +23,11 @@ from tests.rooms import box, plain
 
 torch = pytest.importorskip("torch", reason="the extra 'torch' is not installed")
 
-from soundspaces_torch import echograms as torch_echograms  # noqa: E402
-from soundspaces_torch import renderer as torch_renderer  # noqa: E402
-from soundspaces_torch import signals as torch_signals  # noqa: E402
+from soundspaces_torch import (  # noqa: E402
+    echograms as torch_echograms,
+    renderer as torch_renderer,
+    signals as torch_signals,
+)
 
 import soundspaces_sim.torch  # noqa: E402
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from soundspaces_pictures.pages import draw_page, strongest
+from soundspaces_pictures.plot_data import PlotData, load_plot_data
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError, DatasetError
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.grid import make_grid
-from soundspaces_sim.viz.pages import draw_page, strongest
-from soundspaces_sim.viz.plot_data import PlotData, load_plot_data
 
 LENGTH = 5.0
 

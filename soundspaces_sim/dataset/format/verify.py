@@ -12,10 +12,9 @@ import numpy as np
 from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.io.files import file_sha256
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
-from soundspaces_sim.dataset.format.floorplan import NAME as FLOORPLAN
-from soundspaces_sim.dataset.format.floorplan import read_floorplan
-from soundspaces_sim.dataset.format.manifest import NAME as MANIFEST
+from soundspaces_sim.dataset.format.floorplan import NAME as FLOORPLAN, read_floorplan
 from soundspaces_sim.dataset.format.manifest import (
+    NAME as MANIFEST,
     FileEntry,
     Manifest,
     ShardEntry,

@@ -19,8 +19,7 @@ import numpy as np
 from soundspaces_sim.core.memory import check_memory
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform, uniform
-from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate
-from soundspaces_sim.core.numerics.vec3 import row as row_of
+from soundspaces_sim.core.numerics.vec3 import Vec3, dot, negate, row as row_of
 from soundspaces_sim.core.profile import count
 from soundspaces_sim.scene.rays.directions import sample_cosine_hemisphere
 from soundspaces_sim.scene.rays.geometry import Hit, cast_ray, lifted, material_met

@@ -30,8 +30,7 @@ from soundspaces_agents.hrtf_delays import without_delays, write_hrtf
 from soundspaces_agents.learn.continuous_dagger import DaggerConfig, load_policy, train_continuous
 from soundspaces_agents.learn.continuous_policy import SENSORS, ContinuousAgent
 from soundspaces_sim.nav import NavData, Result, SoundBank, evaluate
-from soundspaces_sim.parts import load_result
-from soundspaces_sim.parts import merge_results as merge
+from soundspaces_sim.parts import load_result, merge_results as merge
 from soundspaces_sim.rendering import load_hrtf
 
 Log = Callable[[str], None]

@@ -12,8 +12,8 @@ from soundspaces_sim.parts import (
     POINTGOAL,
     EarMode,
     TaskName,
+    nearest_name as nearest,
 )
-from soundspaces_sim.parts import nearest_name as nearest
 
 SIGMAS = (0.5, 1.0, 1.5)  # m, of the GPS
 DEFAULT_SENSORS = ("spectrogram", "depth", "collision")

@@ -15,8 +15,7 @@ import msgspec
 import numpy as np
 
 from soundspaces_sim import ConfigError, GridConfig, Scene, load_scene, make_graph, make_grid
-from soundspaces_sim.parts import publish_file as publish
-from soundspaces_sim.parts import read_json
+from soundspaces_sim.parts import publish_file as publish, read_json
 
 LEAST_FLOOR = 25.0  # m², points times the square of their spacing
 

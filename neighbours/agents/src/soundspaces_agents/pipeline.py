@@ -62,16 +62,16 @@ from soundspaces_sim.nav import (
     read_episodes,
     write_episodes,
 )
-from soundspaces_sim.parts import DEFAULT_SOUND as DEFAULT
-from soundspaces_sim.parts import MANIFEST_NAME as MANIFEST
 from soundspaces_sim.parts import (
+    DEFAULT_SOUND as DEFAULT,
+    MANIFEST_NAME as MANIFEST,
     SPLITS,
     EpisodeMaker,
+    EpisodeRules as Rules,
     read_manifest,
     worker_pool,
     write_splits,
 )
-from soundspaces_sim.parts import EpisodeRules as Rules
 
 GOALS = 20  # points per home at which sounds stand
 _Task = tuple[Path, str | None, dict[str, set[int]]]  # to bake: a dataset, its renderer, goals by sound

@@ -21,8 +21,7 @@ from soundspaces_agents.pictures.provenance import data_lines
 from soundspaces_agents.study import CHOICE, RunSpec, load_results, read_specs
 from soundspaces_sim import ConfigError
 from soundspaces_sim.nav import Result
-from soundspaces_sim.parts import publish_file as publish
-from soundspaces_sim.parts import unpacked_episodes as unpacked
+from soundspaces_sim.parts import publish_file as publish, unpacked_episodes as unpacked
 
 NAME = "record.json.gz"
 _KEYS = ("scene", "episode_id", "seed")

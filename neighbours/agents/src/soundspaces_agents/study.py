@@ -50,11 +50,11 @@ from soundspaces_sim.parts import (
     BASELINES,
     DatasetConfig,
     load_result,
+    nearest_name as nearest,
+    publish_file as publish,
     read_json,
     split_file,
 )
-from soundspaces_sim.parts import nearest_name as nearest
-from soundspaces_sim.parts import publish_file as publish
 
 Log = Callable[[str], None]
 _NAME = "study.json"

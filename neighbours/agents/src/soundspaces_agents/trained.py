@@ -7,8 +7,7 @@ from typing import Any
 
 from soundspaces_agents import learn
 from soundspaces_sim import ConfigError
-from soundspaces_sim.parts import BASELINES, Agent
-from soundspaces_sim.parts import nearest_name as nearest
+from soundspaces_sim.parts import BASELINES, Agent, nearest_name as nearest
 
 
 def load_agent(path: str | Path, device: str = "cpu") -> Agent:

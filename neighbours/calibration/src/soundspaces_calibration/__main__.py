@@ -17,12 +17,12 @@ from soundspaces_sim.parts import (
     make_folder,
     need_matplotlib,
     output_folder,
+    publish_file as publish,
     read_settings,
     reported,
     run_app,
     takes_scene,
 )
-from soundspaces_sim.parts import publish_file as publish
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

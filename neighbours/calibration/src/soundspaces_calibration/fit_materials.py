@@ -22,13 +22,13 @@ from soundspaces_sim.echogram import room_measures
 from soundspaces_sim.parts import (
     MOST_DB,
     MaterialGroups,
+    absorption_shares as shares,
     closure_error_db,
     logit_reproducibility,
     logits,
     measure_jacobian,
     variety,
 )
-from soundspaces_sim.parts import absorption_shares as shares
 
 _UNDETERMINED = 0.9  # of the prior's spread, from which on a measurement has told nothing
 

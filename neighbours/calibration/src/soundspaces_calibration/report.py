@@ -9,11 +9,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from soundspaces_pictures.html_page import write_page
+from soundspaces_pictures.report import png
 
 from soundspaces_calibration.measured.calibration import Calibration
 from soundspaces_calibration.measured.room import MEASURED
 from soundspaces_sim import __version__
-from soundspaces_sim.parts import png, write_page
 from soundspaces_sim.parts import publish_file as publish
 
 _GREY, _BLUE, _VERMILION = "#777777", "#0072B2", "#D55E00"  # told apart by the colour-blind

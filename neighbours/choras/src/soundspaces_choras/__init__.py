@@ -29,8 +29,7 @@ from soundspaces_sim import (
     room_parameters,
     simulate,
 )
-from soundspaces_sim.parts import check_rate, pair_seed, read_json
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import check_rate, pair_seed, publish_file as publish, read_json
 
 
 class ChorasError(SoundSpacesSimError, RuntimeError):

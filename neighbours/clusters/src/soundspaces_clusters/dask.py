@@ -18,15 +18,20 @@ import dask
 from distributed import Client, Future, KilledWorker, LocalCluster
 
 from soundspaces_sim import ConfigError, DatasetError
-from soundspaces_sim.parts import Engine, choose_shape, free_memory, isolated_children
-from soundspaces_sim.parts import EngineOptions as Options
-from soundspaces_sim.parts import TaskDone as Done
-from soundspaces_sim.parts import TaskWatch as Watch
-from soundspaces_sim.parts import TileTask as Task
-from soundspaces_sim.parts import adopt_profile as adopt
-from soundspaces_sim.parts import check_interrupts as check
-from soundspaces_sim.parts import refuse_task as refuse
-from soundspaces_sim.parts import work_tile as work
+from soundspaces_sim.parts import (
+    Engine,
+    EngineOptions as Options,
+    TaskDone as Done,
+    TaskWatch as Watch,
+    TileTask as Task,
+    adopt_profile as adopt,
+    check_interrupts as check,
+    choose_shape,
+    free_memory,
+    isolated_children,
+    refuse_task as refuse,
+    work_tile as work,
+)
 
 _log = logging.getLogger(__name__)
 logging.getLogger("distributed").setLevel(logging.WARNING)  # else it tells of every connection

@@ -12,14 +12,14 @@ from soundspaces_sim.parts import (
     ENGINES,
     INTERRUPTED,
     Meter,
+    check_entry_name as check_name,
     check_folder,
+    entry_names as names,
+    packaged_file as resource,
     read_settings,
     run_app,
     size_text,
 )
-from soundspaces_sim.parts import check_entry_name as check_name
-from soundspaces_sim.parts import entry_names as names
-from soundspaces_sim.parts import packaged_file as resource
 
 if TYPE_CHECKING:
     from soundspaces_sim.parts import CollectionManifest

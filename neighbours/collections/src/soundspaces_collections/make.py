@@ -25,8 +25,13 @@ from soundspaces_sim import (
     load_scene,
     open_dataset,
 )
-from soundspaces_sim.parts import MANIFEST_NAME as MANIFEST
-from soundspaces_sim.parts import core_count, forecast, in_processes, read_manifest
+from soundspaces_sim.parts import (
+    MANIFEST_NAME as MANIFEST,
+    core_count,
+    forecast,
+    in_processes,
+    read_manifest,
+)
 
 Log = Callable[[str], None]
 Progress = Callable[[int, int, str], None]

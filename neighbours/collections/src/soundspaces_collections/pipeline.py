@@ -23,29 +23,23 @@ from soundspaces_collections.make import (
 from soundspaces_collections.records import NAME, Record
 from soundspaces_sim import JobConfig, __version__
 from soundspaces_sim.nav import Episode, NavData, SoundBank, read_episodes, write_episodes
-from soundspaces_sim.parts import DEFAULT_SOUND as DEFAULT
-from soundspaces_sim.parts import EPISODES_FOLDER as FOLDER
 from soundspaces_sim.parts import (
+    DEFAULT_SOUND as DEFAULT,
+    EPISODES_FOLDER as FOLDER,
     SPLITS,
+    CollectionFailure as Failure,
     CollectionManifest,
     EpisodeError,
     EpisodeMaker,
+    EpisodeRules as Rules,
+    collected_dataset as collected,
+    files_beside as beside,
     make_folder,
+    need_extras as need,
+    publish_file as publish,
     write_collection,
     write_splits,
 )
-from soundspaces_sim.parts import (
-    CollectionFailure as Failure,
-)
-from soundspaces_sim.parts import EpisodeRules as Rules
-from soundspaces_sim.parts import (
-    collected_dataset as collected,
-)
-from soundspaces_sim.parts import (
-    files_beside as beside,
-)
-from soundspaces_sim.parts import need_extras as need
-from soundspaces_sim.parts import publish_file as publish
 
 LOG = "log.txt"
 

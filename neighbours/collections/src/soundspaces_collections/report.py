@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from soundspaces_pictures import draw_plan
+from soundspaces_pictures.plan import BLUE, VERMILION
 
 from soundspaces_collections.axonometric import above_picture, inside_picture, write_small
 from soundspaces_collections.make import Collection, Log, Task, make_task, split_of
@@ -21,18 +23,15 @@ from soundspaces_sim.nav import depth_views
 from soundspaces_sim.parts import (
     HEADINGS,
     MAKER,
+    CollectionFailure as Failure,
     in_processes,
     make_folder,
     number_text,
+    publish_file as publish,
     read_floorplan,
     read_manifest,
     storeys_of,
 )
-from soundspaces_sim.parts import PLOT_BLUE as BLUE
-from soundspaces_sim.parts import PLOT_RED as VERMILION
-from soundspaces_sim.parts import CollectionFailure as Failure
-from soundspaces_sim.parts import publish_file as publish
-from soundspaces_sim.viz import draw_plan
 
 _AIM = 1000  # buildings that the forecast is of
 #: Of the seed paper's table of datasets (ECCV 2020, Table "Summary of SoundSpaces dataset properties").

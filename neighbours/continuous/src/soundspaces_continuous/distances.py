@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_continuous.obstacles import Obstacles, first_contact
-from soundspaces_sim.parts import kernel
-from soundspaces_sim.parts import kernel_part as part
+from soundspaces_sim.parts import kernel, kernel_part as part
 
 CELL = 0.05  # m
 _SEARCH = 3  # cells around a place in which its roots are looked for

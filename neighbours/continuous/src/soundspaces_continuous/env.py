@@ -19,15 +19,17 @@ from soundspaces_continuous.world import ContinuousWorld
 from soundspaces_sim import RirDataset
 from soundspaces_sim.nav import AudioNavEnv, AudioNavVectorEnv, NavData
 from soundspaces_sim.parts import (
+    TableEntry as Entry,
     check_rates,
+    of_neighbour,
     open_sounds,
     scene_of_dataset,
+    sensor_box as box,
     state_info,
     wanted_episode,
 )
-from soundspaces_sim.parts import (
-    sensor_box as box,
-)
+
+_MAP = Entry("soundspaces_pictures.episode_map:MapPage", "the map of an episode", "pictures")
 
 
 class ContinuousSetting:
@@ -101,7 +103,8 @@ class ContinuousNavEnv(AudioNavEnv):
         return ContinuousSetting(continuous_options("ContinuousNavEnv", data, options))
 
     def _draw(self, dataset: RirDataset, state: Any) -> np.ndarray:
-        from soundspaces_continuous.map_page import map_frame  # matplotlib
+        of_neighbour("a picture", _MAP)
+        from soundspaces_continuous.map_page import map_frame
 
         return map_frame(dataset, state, self.trail)
 

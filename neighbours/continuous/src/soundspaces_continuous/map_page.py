@@ -7,10 +7,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from soundspaces_pictures.episode_map import MapPage
 
 from soundspaces_continuous.state import ContinuousState
 from soundspaces_sim import RirDataset, open_dataset
-from soundspaces_sim.parts import MapPage
 
 _SOURCE = "#E69F00"
 

@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim import Echogram, SimulationConfig
-from soundspaces_sim.parts import KIND_EDGE as EDGE
-from soundspaces_sim.parts import KIND_EDGE_MIRROR as EDGE_MIRROR
-from soundspaces_sim.parts import KIND_MIRRORS as MIRRORS
-from soundspaces_sim.parts import KIND_MIRRORS_AND_BACK as MIRRORS_AND_BACK
 from soundspaces_sim.parts import (
+    KIND_EDGE as EDGE,
+    KIND_EDGE_MIRROR as EDGE_MIRROR,
+    KIND_MIRRORS as MIRRORS,
+    KIND_MIRRORS_AND_BACK as MIRRORS_AND_BACK,
     LEAST_DISTANCE,
     Geometry,
     SpecularPlanes,
@@ -31,18 +31,18 @@ from soundspaces_sim.parts import (
     Wedges,
     air_transmission,
     beside_edge,
+    dot_product as dot,
     image_of,
     kernel,
+    kernel_part as part,
+    mirror_bounce as bounce,
+    point_distance as distance,
     reflection_point,
+    subtract_vectors as subtract,
     unoccluded,
+    vector_length as length,
+    vector_row as row,
 )
-from soundspaces_sim.parts import dot_product as dot
-from soundspaces_sim.parts import kernel_part as part
-from soundspaces_sim.parts import mirror_bounce as bounce
-from soundspaces_sim.parts import point_distance as distance
-from soundspaces_sim.parts import subtract_vectors as subtract
-from soundspaces_sim.parts import vector_length as length
-from soundspaces_sim.parts import vector_row as row
 
 DIRECT, THROUGH_WALLS = -1, -2  # kinds of path beside `echogram.KINDS`
 _SQUARE = 1e-6  # cosine

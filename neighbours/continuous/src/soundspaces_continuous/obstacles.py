@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.parts import kernel, unique_rows
-from soundspaces_sim.parts import kernel_part as part
+from soundspaces_sim.parts import kernel, kernel_part as part, unique_rows
 
 _CELL = 0.5  # m, of the table of segments
 _ALIKE = 1e-5  # m, to which segments are compared

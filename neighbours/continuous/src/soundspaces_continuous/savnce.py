@@ -14,8 +14,7 @@ from typing import Any
 
 from soundspaces_continuous.episodes import Rules
 from soundspaces_sim import ConfigError
-from soundspaces_sim.parts import POINTGOAL
-from soundspaces_sim.parts import nearest_name as nearest
+from soundspaces_sim.parts import POINTGOAL, nearest_name as nearest
 
 #: Sensors of its files, and ours; None: what `savnce_own_sensors` names.
 SENSORS: Mapping[str, str | None] = {

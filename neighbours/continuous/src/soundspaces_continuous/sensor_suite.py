@@ -15,10 +15,16 @@ from soundspaces_continuous.task import CONTINUOUS_SENSORS, ContinuousOptions
 from soundspaces_continuous.world import ContinuousWorld
 from soundspaces_sim import ConfigError, spectrogram
 from soundspaces_sim.nav import SoundBank, depth_views
-from soundspaces_sim.parts import CAMERA_HEIGHT, POINTGOAL, RMS_AT_1_M, BlockCache, drawn_size
-from soundspaces_sim.parts import normalise_depth as normalise
-from soundspaces_sim.parts import shrink_views as shrink
-from soundspaces_sim.parts import sound_intensity as intensity
+from soundspaces_sim.parts import (
+    CAMERA_HEIGHT,
+    POINTGOAL,
+    RMS_AT_1_M,
+    BlockCache,
+    drawn_size,
+    normalise_depth as normalise,
+    shrink_views as shrink,
+    sound_intensity as intensity,
+)
 
 _FOREVER = 2**62  # samples
 _N_FFT, _MOST_RATIO, _LEAST = 512, 4.0, 1e-8

@@ -48,13 +48,13 @@ from soundspaces_sim.parts import (
     air_left,
     direct_arrival,
     kernel,
+    point_distance as distance,
     prepare_planes,
     prepare_wedges,
     unoccluded,
+    vector_row as row,
     without_arrivals,
 )
-from soundspaces_sim.parts import point_distance as distance
-from soundspaces_sim.parts import vector_row as row
 
 PathsName = Literal["simulated", "moved"]
 

@@ -12,9 +12,15 @@ from soundspaces_continuous.sound_field import Place
 from soundspaces_continuous.task import ContinuousOptions
 from soundspaces_continuous.world import ContinuousWorld
 from soundspaces_sim.nav import Metrics, episode_metrics
-from soundspaces_sim.parts import FORWARD, LEFT, RIGHT, STOP, EpisodeError
-from soundspaces_sim.parts import SLACK_REWARD as SLACK
-from soundspaces_sim.parts import SUCCESS_REWARD as SUCCESS
+from soundspaces_sim.parts import (
+    FORWARD,
+    LEFT,
+    RIGHT,
+    SLACK_REWARD as SLACK,
+    STOP,
+    SUCCESS_REWARD as SUCCESS,
+    EpisodeError,
+)
 
 
 @dataclass(frozen=True)

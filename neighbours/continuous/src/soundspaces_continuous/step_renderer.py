@@ -33,10 +33,10 @@ from soundspaces_sim.parts import (
     arrival_filters,
     decoder_filters,
     kernel,
+    kernel_part as part,
     spherical_harmonics,
     without_arrivals,
 )
-from soundspaces_sim.parts import kernel_part as part
 
 HEADINGS = 5  # of kept reverberation, and harmonics of the heading: 2 N + 1 for order N = 2
 #: Of each ambisonic channel: where its cosine goes among the harmonics of the heading; the channel of the same

@@ -12,10 +12,14 @@ from soundspaces_continuous.episodes import ContinuousEpisode, Rules
 from soundspaces_continuous.sound_field import PathsName
 from soundspaces_sim import ConfigError, Scene
 from soundspaces_sim.nav import NavData, SoundBank
-from soundspaces_sim.parts import DEFAULT_SOUND as DEFAULT
-from soundspaces_sim.parts import POINTGOAL, as_sensors, check_keywords
-from soundspaces_sim.parts import check_picture_size as check_size
-from soundspaces_sim.parts import nearest_name as nearest
+from soundspaces_sim.parts import (
+    DEFAULT_SOUND as DEFAULT,
+    POINTGOAL,
+    as_sensors,
+    check_keywords,
+    check_picture_size as check_size,
+    nearest_name as nearest,
+)
 
 _N_FFT, _HOP_S = 512, 0.01
 _FARTHEST = 1000.0  # m

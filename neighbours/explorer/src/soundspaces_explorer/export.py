@@ -16,8 +16,7 @@ import numpy as np
 
 from soundspaces_explorer import payloads
 from soundspaces_sim import ConfigError, RirDataset
-from soundspaces_sim.parts import make_folder
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import make_folder, publish_file as publish
 
 HEADINGS = (0.0, 90.0, 180.0, 270.0)
 

@@ -13,18 +13,18 @@ from typing import Literal, get_args
 import numpy as np
 
 from soundspaces_sim import ConfigError, RirDataset
-from soundspaces_sim.parts import WAV_HEADER as HEADER
 from soundspaces_sim.parts import (
+    WAV_HEADER as HEADER,
     ExportPlan,
+    ExportProgress as Progress,
     check_order,
     choose_pairs,
     make_folder,
     n3d_gains,
+    publish_file as publish,
+    response_samples_of as samples_of,
     wav_bytes,
 )
-from soundspaces_sim.parts import ExportProgress as Progress
-from soundspaces_sim.parts import publish_file as publish
-from soundspaces_sim.parts import response_samples_of as samples_of
 
 Normalisation = Literal["sn3d", "n3d"]
 

@@ -25,17 +25,17 @@ from soundspaces_exports.samples import (
     shuffled_files,
 )
 from soundspaces_sim import ConfigError, RirDataset
-from soundspaces_sim.parts import WAV_HEADER as HEADER
 from soundspaces_sim.parts import (
+    WAV_HEADER as HEADER,
     ExportPlan,
+    ExportProgress as Progress,
     check_headings,
     choose_pairs,
     install_hint,
     make_folder,
+    publish_file as publish,
     wav_bytes,
 )
-from soundspaces_sim.parts import ExportProgress as Progress
-from soundspaces_sim.parts import publish_file as publish
 
 FILE_BYTES = 256e6  # of a Parquet file, about
 _LABEL_BYTES = 512.0  # of a row, about

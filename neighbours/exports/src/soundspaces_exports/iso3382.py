@@ -16,10 +16,16 @@ import numpy as np
 import soundfile
 
 from soundspaces_sim import ConfigError, RirDataset
-from soundspaces_sim.parts import PARAMETERS, ExportPlan, check_parameters, choose_pairs, make_folder
-from soundspaces_sim.parts import ExportProgress as Progress
-from soundspaces_sim.parts import publish_file as publish
-from soundspaces_sim.parts import response_samples_of as samples_of
+from soundspaces_sim.parts import (
+    PARAMETERS,
+    ExportPlan,
+    ExportProgress as Progress,
+    check_parameters,
+    choose_pairs,
+    make_folder,
+    publish_file as publish,
+    response_samples_of as samples_of,
+)
 
 _NAMES = ("edt", "t20", "t30", "c50", "c80", "d50", "ts", "g", "lf", "lfc")
 #: As ISO 3382-1:2009 writes them.

@@ -15,10 +15,16 @@ from typing import Any
 
 from soundspaces_exports.samples import label_rows, labelled, sample_bytes, samples_of_pairs
 from soundspaces_sim import RirDataset
-from soundspaces_sim.parts import WAV_HEADER as HEADER
-from soundspaces_sim.parts import ExportPlan, check_headings, choose_pairs, make_folder, wav_bytes
-from soundspaces_sim.parts import ExportProgress as Progress
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import (
+    WAV_HEADER as HEADER,
+    ExportPlan,
+    ExportProgress as Progress,
+    check_headings,
+    choose_pairs,
+    make_folder,
+    publish_file as publish,
+    wav_bytes,
+)
 
 _MANIFEST_BYTES = 400  # of a sample, packed, about
 

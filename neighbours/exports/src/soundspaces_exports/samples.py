@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soundspaces_sim import RirDataset
-from soundspaces_sim.parts import SECOND_ORDER_CHANNELS as CHANNELS
-from soundspaces_sim.parts import response_samples_of as samples_of
-from soundspaces_sim.parts import source_direction
+from soundspaces_sim.parts import (
+    SECOND_ORDER_CHANNELS as CHANNELS,
+    response_samples_of as samples_of,
+    source_direction,
+)
 
 
 class Sample(NamedTuple):

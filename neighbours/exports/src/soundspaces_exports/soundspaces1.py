@@ -18,21 +18,21 @@ import numpy as np
 from soundspaces_sim import ConfigError, RirDataset
 from soundspaces_sim.parts import (
     HABITAT_HEIGHT,
+    SECOND_ORDER_CHANNELS as CHANNELS,
+    WAV_HEADER as HEADER,
     Convention,
     ExportPlan,
+    ExportProgress as Progress,
     check_headings,
     choose_pairs,
+    convert_ambisonics as convert,
     habitat_graph,
     make_folder,
     points_text,
+    publish_file as publish,
+    response_samples_of as samples_of,
     wav_bytes,
 )
-from soundspaces_sim.parts import SECOND_ORDER_CHANNELS as CHANNELS
-from soundspaces_sim.parts import WAV_HEADER as HEADER
-from soundspaces_sim.parts import ExportProgress as Progress
-from soundspaces_sim.parts import convert_ambisonics as convert
-from soundspaces_sim.parts import publish_file as publish
-from soundspaces_sim.parts import response_samples_of as samples_of
 
 _log = logging.getLogger(__name__)
 ONSET = 256

@@ -26,9 +26,14 @@ from soundspaces_exports.samples import (
     shuffled_files,
 )
 from soundspaces_sim import RirDataset
-from soundspaces_sim.parts import ExportPlan, check_headings, choose_pairs, make_folder
-from soundspaces_sim.parts import ExportProgress as Progress
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import (
+    ExportPlan,
+    ExportProgress as Progress,
+    check_headings,
+    choose_pairs,
+    make_folder,
+    publish_file as publish,
+)
 
 SHARD_BYTES = 64e6  # of a tar file, about
 _HEAD_BYTES = 3 * 512 + 1024  # of a sample: tar headers, padding, labels

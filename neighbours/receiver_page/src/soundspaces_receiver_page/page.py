@@ -10,13 +10,18 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from soundspaces_pictures import draw_decay
+from soundspaces_pictures.html_page import write_page
+from soundspaces_pictures.report import png
 
 from soundspaces_sim import Arrival, Echogram, PairIndexError, RirDataset, Speech, __version__, in_bands
-from soundspaces_sim.parts import ARRIVAL_KINDS as KINDS
-from soundspaces_sim.parts import KIND_EDGE as EDGE
-from soundspaces_sim.parts import KIND_MIRRORS as MIRRORS
-from soundspaces_sim.parts import PARAMETERS, ParameterTable, png, write_page
-from soundspaces_sim.viz import draw_decay
+from soundspaces_sim.parts import (
+    ARRIVAL_KINDS as KINDS,
+    KIND_EDGE as EDGE,
+    KIND_MIRRORS as MIRRORS,
+    PARAMETERS,
+    ParameterTable,
+)
 
 _BIN_S = 0.002
 _SHOWN_S = 0.2  # of the echogram, after the first sound

@@ -24,19 +24,19 @@ from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 from soundspaces_sim import ConfigError, DatasetError
-from soundspaces_sim.parts import MANIFEST_NAME as NAME
 from soundspaces_sim.parts import (
+    MANIFEST_NAME as NAME,
     MOST_JSON,
     FileEntry,
     ShardEntry,
     cache_root,
+    exclusive_file as exclusive,
     file_sha256,
     make_folder,
+    publish_file as publish,
     read_manifest,
     rename_open,
 )
-from soundspaces_sim.parts import exclusive_file as exclusive
-from soundspaces_sim.parts import publish_file as publish
 
 _log = logging.getLogger(__name__)
 _TRIES = 5  # of a file, in all

@@ -18,9 +18,7 @@ import numpy as np
 
 from soundspaces_rlr.errors import RlrError
 from soundspaces_sim import MaterialTable
-from soundspaces_sim.parts import limit_transmission as limit
-from soundspaces_sim.parts import overlay_tables as overlay
-from soundspaces_sim.parts import read_json
+from soundspaces_sim.parts import limit_transmission as limit, overlay_tables as overlay, read_json
 
 _log = logging.getLogger(__name__)
 _CURVES = ("absorption", "scattering", "transmission")

@@ -24,14 +24,15 @@ from soundspaces_sim import (
     Scene,
     SimulationConfig,
 )
-from soundspaces_sim.parts import DIRECT_SOUND as DIRECT
 from soundspaces_sim.parts import (
+    DIRECT_SOUND as DIRECT,
     INV_4PI,
     LEAST_DISTANCE,
     PreparedScene,
     air_transmission,
     at_points,
     closedness,
+    combine_keys as combine,
     core_count,
     direct_arrival,
     point_keys,
@@ -40,7 +41,6 @@ from soundspaces_sim.parts import (
     simulate_tile,
     thread_count,
 )
-from soundspaces_sim.parts import combine_keys as combine
 
 GROUP_REACH = 0.3  # m from a group's first member
 _RAYS_PER_WALK = 5  # of indirect_ray_count

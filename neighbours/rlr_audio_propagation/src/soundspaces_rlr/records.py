@@ -15,8 +15,7 @@ import numpy as np
 
 from soundspaces_rlr.arguments import vector3
 from soundspaces_rlr.errors import RlrError
-from soundspaces_sim.parts import DEFAULT_BANDS, MOST_BANDS
-from soundspaces_sim.parts import LONGEST_RESPONSE as LONGEST
+from soundspaces_sim.parts import DEFAULT_BANDS, LONGEST_RESPONSE as LONGEST, MOST_BANDS
 
 # The bands of RLR are equally wide in octaves between these; four of them are those of SoundSpaces.
 _LOWEST, _HIGHEST = 40.0, 15000.0

@@ -22,18 +22,18 @@ from soundspaces_sim import (
 )
 from soundspaces_sim.parts import (
     LEAST_DISTANCE,
+    PLANE_WAVES as WAVES,
     WaveField,
     arrival_filters,
+    convert_ambisonics as convert,
     direction_filters,
     harmonics_n3d,
+    place_responses as place,
     response_length,
     rotation_matrix,
     spherical_harmonics,
     without_arrivals,
 )
-from soundspaces_sim.parts import PLANE_WAVES as WAVES
-from soundspaces_sim.parts import convert_ambisonics as convert
-from soundspaces_sim.parts import place_responses as place
 from soundspaces_sim.rendering import load_hrtf
 
 _LEAD = 8  # samples in which a pulse rises

@@ -16,9 +16,14 @@ from soundspaces_room_programs.gmsh import is_gmsh
 from soundspaces_room_programs.polygon_mesh import Polygon, mesh_of_polygons, read_text_model
 from soundspaces_room_programs.polygons import MOST_CORNERS
 from soundspaces_sim import MaterialTable, SceneError
-from soundspaces_sim.parts import MATERIAL_OCTAVES as OCTAVES
-from soundspaces_sim.parts import MATERIAL_SCATTERING as SCATTERING
-from soundspaces_sim.parts import LabelledMesh, SceneFormat, octave_material, open_mesh
+from soundspaces_sim.parts import (
+    MATERIAL_OCTAVES as OCTAVES,
+    MATERIAL_SCATTERING as SCATTERING,
+    LabelledMesh,
+    SceneFormat,
+    octave_material,
+    open_mesh,
+)
 
 _MOST_MATERIALS, _LONGEST = 1000, 10_000  # characters of a plane
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"

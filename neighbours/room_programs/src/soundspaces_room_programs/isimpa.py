@@ -12,15 +12,15 @@ import numpy as np
 from soundspaces_sim import MaterialError, MaterialTable, SceneError
 from soundspaces_sim.parts import (
     LabelledMesh,
+    PlyElements as Elements,
+    PlyLists as Lists,
     SceneFormat,
     open_mesh,
     parse_xml,
     ply_header,
     read_labelled_ply,
+    unpacked_archive as unpacked,
 )
-from soundspaces_sim.parts import PlyElements as Elements
-from soundspaces_sim.parts import PlyLists as Lists
-from soundspaces_sim.parts import unpacked_archive as unpacked
 
 # I-Simpa's projects (.proj): its mesh, its groups of surfaces, and the materials that were made in it.
 #

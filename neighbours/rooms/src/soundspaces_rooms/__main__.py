@@ -16,13 +16,13 @@ from soundspaces_sim import ConfigError
 from soundspaces_sim.parts import (
     Meter,
     ProfileOption,
+    adopt_profile as adopt,
     check_folder,
     of_simulation,
     read_settings,
     reported,
     run_app,
 )
-from soundspaces_sim.parts import adopt_profile as adopt
 
 _OF_RANDOM = "Of --count. "
 _List = Annotated[

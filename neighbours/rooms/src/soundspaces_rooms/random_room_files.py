@@ -24,9 +24,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from soundspaces_exports.lhotse import packed_lines
-from soundspaces_exports.lhotse import recording as recording
-from soundspaces_exports.lhotse import supervision as supervision
+from soundspaces_exports.lhotse import packed_lines, recording as recording, supervision as supervision
 
 from soundspaces_rooms.room_stream import RoomStream
 from soundspaces_sim import ConfigError, DatasetError, SceneError, SimulationError, __version__
@@ -35,11 +33,11 @@ from soundspaces_sim.parts import (
     create_hdf5,
     in_processes,
     make_folder,
+    publish_file as publish,
     read_text,
     wav_bytes,
+    written_hdf5 as written,
 )
-from soundspaces_sim.parts import publish_file as publish
-from soundspaces_sim.parts import written_hdf5 as written
 
 Item = dict[str, Any]
 

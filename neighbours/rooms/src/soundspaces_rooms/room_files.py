@@ -33,17 +33,17 @@ from soundspaces_sim.parts import (
     code_target,
     encode_echograms,
     in_processes,
+    is_valid_shard as is_valid,
     make_folder,
     model_between,
+    profile_here as here,
+    profile_stage as stage,
+    publish_file as publish,
     read_text,
     room_named,
     simulate_between,
     with_notes,
 )
-from soundspaces_sim.parts import is_valid_shard as is_valid
-from soundspaces_sim.parts import profile_here as here
-from soundspaces_sim.parts import profile_stage as stage
-from soundspaces_sim.parts import publish_file as publish
 
 _MOST = 2**30  # bytes of a list
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}\Z"

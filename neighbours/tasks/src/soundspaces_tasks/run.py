@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from soundspaces_sim.parts import check_entry_name as check_name
-from soundspaces_sim.parts import find_entry as find
-from soundspaces_sim.parts import make_folder
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import (
+    check_entry_name as check_name,
+    find_entry as find,
+    make_folder,
+    publish_file as publish,
+)
 from soundspaces_tasks.registry import TASKS
 from soundspaces_tasks.report import page
 from soundspaces_tasks.results import TaskResult

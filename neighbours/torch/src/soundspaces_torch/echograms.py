@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from soundspaces_sim import DatasetError, Echogram, RirDataset
-from soundspaces_sim.parts import FAILED_PAIR as FAILED
-from soundspaces_sim.parts import EchogramShard, Shard
+from soundspaces_sim.parts import FAILED_PAIR as FAILED, EchogramShard, Shard
 from soundspaces_torch.signals import EchogramBatch, fixed
 
 _AFTER_S = 0.01  # of a response, after its last arrival: as `ambisonics.response_length`

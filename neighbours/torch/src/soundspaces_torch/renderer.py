@@ -24,9 +24,11 @@ from soundspaces_sim import (
     RirDataset,
     refurnished,
 )
-from soundspaces_sim.parts import HIGH_ORDER_WAVES as MANY_WAVES
 from soundspaces_sim.parts import (
+    HIGH_ORDER_WAVES as MANY_WAVES,
     NEAR_M,
+    PLANE_WAVES as PLANE_WAVES,
+    SECOND_ORDER_CHANNELS as CHANNELS,
     Materials,
     as_ears,
     as_pairs,
@@ -34,7 +36,9 @@ from soundspaces_sim.parts import (
     check_order,
     check_pairs,
     check_rate,
+    direction_grid as sphere,
     displaced,
+    for_each_pair as for_each_pair,
     harmonics_sn3d,
     head_matrix,
     minimum_phase,
@@ -42,14 +46,10 @@ from soundspaces_sim.parts import (
     share_out,
     shared_energy,
     turned_lattice,
+    waves_at_microphones as waves_at_microphones,
+    waves_below as waves_below,
     without_arrivals,
 )
-from soundspaces_sim.parts import PLANE_WAVES as PLANE_WAVES
-from soundspaces_sim.parts import SECOND_ORDER_CHANNELS as CHANNELS
-from soundspaces_sim.parts import direction_grid as sphere
-from soundspaces_sim.parts import for_each_pair as for_each_pair
-from soundspaces_sim.parts import waves_at_microphones as waves_at_microphones
-from soundspaces_sim.parts import waves_below as waves_below
 from soundspaces_sim.rendering import load_hrtf
 from soundspaces_torch import signals as signals
 from soundspaces_torch.closure import log_ratios, nepers

@@ -21,11 +21,11 @@ import scipy.fft
 import torch
 from torch import Tensor
 
-from soundspaces_sim.parts import FILTER_FLOOR as FILTER_FLOOR
-from soundspaces_sim.parts import SECOND_ORDER_CHANNELS as CHANNELS
-from soundspaces_sim.parts import SMOOTH_LANES as SMOOTH_LANES
-from soundspaces_sim.parts import WAVE_LANES as WAVE_LANES
 from soundspaces_sim.parts import (
+    FILTER_FLOOR as FILTER_FLOOR,
+    SECOND_ORDER_CHANNELS as CHANNELS,
+    SMOOTH_LANES as SMOOTH_LANES,
+    WAVE_LANES as WAVE_LANES,
     Air,
     Equalisation,
     Method,
@@ -33,6 +33,7 @@ from soundspaces_sim.parts import (
     air_spectrum,
     band_noise,
     band_plans,
+    continued_decay as continued_decay,
     cut_frames,
     decoder_transform,
     gain_above,
@@ -44,16 +45,15 @@ from soundspaces_sim.parts import (
     left_after,
     log_steps,
     make_scratch,
+    modulate_noise as modulate,
+    place_responses as place,
     rotation_matrices,
     sinc_table,
+    smooth_energies as smooth_energies,
     step_plans,
     transform_size,
     white_noise,
 )
-from soundspaces_sim.parts import continued_decay as continued_decay
-from soundspaces_sim.parts import modulate_noise as modulate
-from soundspaces_sim.parts import place_responses as place
-from soundspaces_sim.parts import smooth_energies as smooth_energies
 
 _LEAST_VARIANCE = 1e-6  # as `synthesis`
 _MOST = 1e37  # that air takes: beyond it single precision holds no energy

@@ -24,8 +24,7 @@ import numpy as np
 import scipy
 
 from soundspaces_sim import MaterialTable
-from soundspaces_sim.parts import flow_resistance
-from soundspaces_sim.parts import surface_impedance as impedance
+from soundspaces_sim.parts import flow_resistance, surface_impedance as impedance
 
 _LEAST = 1e-6  # absorption and transmission below this are none
 _FLOOR = 0.02  # of absorption, against which misfits count

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim import Scene, SimulationError
-from soundspaces_sim.parts import Geometry, cast_ray, check_memory, kernel, over_rows
-from soundspaces_sim.parts import vector_row as row
+from soundspaces_sim.parts import Geometry, cast_ray, check_memory, kernel, over_rows, vector_row as row
 
 AXES = 3
 _OF_CELL = 2600  # bytes of memory per cell, while a lattice and its scheme are made

@@ -19,8 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soundspaces_sim import ConfigError, Scene, SimulationConfig, load_scene
-from soundspaces_sim.parts import LOW_MEASURES, as_points, check_edges, octaves_below, over_rows
-from soundspaces_sim.parts import low_measures as measures_of
+from soundspaces_sim.parts import (
+    LOW_MEASURES,
+    as_points,
+    check_edges,
+    low_measures as measures_of,
+    octaves_below,
+    over_rows,
+)
 from soundspaces_waves.placing import sight
 from soundspaces_waves.responses import LowResponses
 from soundspaces_waves.simulate import simulate_low

@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim import Echograms, PointError, Scene, SimulationConfig, SimulationError
-from soundspaces_sim.parts import LOW_CHANNELS as CHANNELS
 from soundspaces_sim.parts import (
+    LOW_CHANNELS as CHANNELS,
     LowResponse,
     Model,
     PreparedScene,
     free_memory,
+    profile_stage as stage,
     response_samples,
     thread_count,
 )
-from soundspaces_sim.parts import profile_stage as stage
 from soundspaces_waves.lattice import make_lattice
 from soundspaces_waves.placing import place_points
 from soundspaces_waves.row_algebra import LANES

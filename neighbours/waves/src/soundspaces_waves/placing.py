@@ -12,8 +12,7 @@ from itertools import product
 import numpy as np
 
 from soundspaces_sim import PointError, Scene
-from soundspaces_sim.parts import Geometry, kernel, over_rows, unoccluded
-from soundspaces_sim.parts import vector_row as row
+from soundspaces_sim.parts import Geometry, kernel, over_rows, unoccluded, vector_row as row
 from soundspaces_waves.lattice import AXES, Lattice
 
 ROWS = 1 + AXES  # pressure, and its derivatives along x, y and z

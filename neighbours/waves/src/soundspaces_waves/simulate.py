@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soundspaces_sim import LowConfig, PointError, Scene, SimulationConfig, load_scene
-from soundspaces_sim.parts import LONGEST_RESPONSE as LONGEST
 from soundspaces_sim.parts import (
+    LONGEST_RESPONSE as LONGEST,
     as_points,
     check_ends,
     free_memory,
+    mounted_layers as mounted,
     require_within,
     response_rate,
     response_samples,
 )
-from soundspaces_sim.parts import mounted_layers as mounted
 from soundspaces_waves.dispersion import velocity_spread
 from soundspaces_waves.placing import ROWS
 from soundspaces_waves.responses import Discretisation, LowResponses

@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from soundspaces_sim import SimulationError
-from soundspaces_sim.parts import Air, check_memory, over_rows, thread_count
-from soundspaces_sim.parts import check_interrupts as check
+from soundspaces_sim.parts import Air, check_interrupts as check, check_memory, over_rows, thread_count
 from soundspaces_waves.placing import ROWS, place_points
 from soundspaces_waves.row_algebra import LANES
 from soundspaces_waves.scheme import WaveScene

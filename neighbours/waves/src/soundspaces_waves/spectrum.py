@@ -11,8 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.parts import Air, check_memory, lead_samples, response_rate, response_samples
-from soundspaces_sim.parts import low_band_gain as band_gain
+from soundspaces_sim.parts import (
+    Air,
+    check_memory,
+    lead_samples,
+    low_band_gain as band_gain,
+    response_rate,
+    response_samples,
+)
 from soundspaces_waves.dispersion import amplitude_factor, lattice_frequency
 from soundspaces_waves.placing import ROWS
 

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.parts import kernel
-from soundspaces_sim.parts import kernel_part as part
+from soundspaces_sim.parts import kernel, kernel_part as part
 from soundspaces_waves.row_algebra import (
     FOUR,
     LANES,

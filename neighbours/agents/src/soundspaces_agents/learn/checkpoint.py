@@ -15,8 +15,7 @@ import torch
 from soundspaces_agents.learn.net import Policy, moves_of
 from soundspaces_agents.presets import NetConfig
 from soundspaces_sim import ConfigError
-from soundspaces_sim.parts import EpisodeState, Observation, read_bytes
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import EpisodeState, Observation, publish_file as publish, read_bytes
 
 _FORMAT = "soundspaces_sim/agent-1"
 _MOST = 2**31  # bytes

@@ -34,8 +34,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from soundspaces_agents.learn.continuous_policy import INPUTS, SENSORS, inputs_of
 from soundspaces_sim import Scene
 from soundspaces_sim.nav import NavData, Result, evaluate
-from soundspaces_sim.parts import STOP
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import STOP, publish_file as publish
 
 CURVE, PICTURE, PAGE = "curve.jsonl", "continuous_ppo.png", "continuous_ppo.md"
 _RECENT = 200  # episodes of training over which success is a mean

@@ -13,9 +13,15 @@ import numpy as np
 
 from soundspaces_sim import ConfigError
 from soundspaces_sim.nav import Episode
-from soundspaces_sim.parts import FORWARD, EpisodeState, SensorSuite, oracle_action, seconds_of
-from soundspaces_sim.parts import EnvSetting as Setting
-from soundspaces_sim.parts import pointgoal_reading as pointgoal
+from soundspaces_sim.parts import (
+    FORWARD,
+    EnvSetting as Setting,
+    EpisodeState,
+    SensorSuite,
+    oracle_action,
+    pointgoal_reading as pointgoal,
+    seconds_of,
+)
 
 NEVER = 2**31 - 1
 _BY_POSE = ("depth",)

@@ -28,9 +28,13 @@ from soundspaces_agents.learn.warm_start import warm_start
 from soundspaces_agents.presets import TrainConfig
 from soundspaces_sim import ConfigError
 from soundspaces_sim.nav import NavData
-from soundspaces_sim.parts import EarMode, TaskName, env_options
-from soundspaces_sim.parts import EnvSetting as Setting
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import (
+    EarMode,
+    EnvSetting as Setting,
+    TaskName,
+    env_options,
+    publish_file as publish,
+)
 
 Method = Literal["ppo", "dagger"]
 _EVERY = 10  # updates

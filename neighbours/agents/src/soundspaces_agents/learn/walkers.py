@@ -14,9 +14,13 @@ import numpy as np
 
 from soundspaces_agents.learn.state_table import StateTable
 from soundspaces_sim.nav import Episode, Metrics, episode_metrics
-from soundspaces_sim.parts import FORWARD, STOP, heading_index
-from soundspaces_sim.parts import SLACK_REWARD as SLACK
-from soundspaces_sim.parts import SUCCESS_REWARD as SUCCESS
+from soundspaces_sim.parts import (
+    FORWARD,
+    SLACK_REWARD as SLACK,
+    STOP,
+    SUCCESS_REWARD as SUCCESS,
+    heading_index,
+)
 
 _ARRAYS = ("pose", "steps", "collided", "distance", "path", "bumps")
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import softmax
+from soundspaces_pictures import draw_plan
 
 from soundspaces_agents.experiments import LEARNT_IN, VARIANTS, Trial
 from soundspaces_agents.pictures.order import in_turn
@@ -24,7 +25,6 @@ from soundspaces_sim.parts import (
     Observation,
     read_floorplan,
 )
-from soundspaces_sim.viz import draw_plan
 
 LABELS = {"spectrogram": "hearing", "depth": "sight", POINTGOAL: "GPS", "intensity": "loudness"}
 _EPISODES = 2  # rows of the figure

@@ -6,9 +6,7 @@ import hashlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from soundspaces_sim.parts import MANIFEST_NAME as MANIFEST
-from soundspaces_sim.parts import read_manifest
-from soundspaces_sim.parts import unpacked_episodes as unpacked
+from soundspaces_sim.parts import MANIFEST_NAME as MANIFEST, read_manifest, unpacked_episodes as unpacked
 
 
 def data_lines(out: Path) -> list[str]:

@@ -8,16 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from soundspaces_pictures.episode_map import MapPage
 
 from soundspaces_sim.nav import Episode, Metrics
-from soundspaces_sim.parts import (
-    Agent,
-    EpisodeState,
-    MapPage,
-    make_folder,
-    wav_bytes,
-)
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import Agent, EpisodeState, make_folder, publish_file as publish, wav_bytes
 
 
 @dataclass(frozen=True)

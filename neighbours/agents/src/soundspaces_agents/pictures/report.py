@@ -9,6 +9,7 @@ from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
+from soundspaces_pictures.episode_map import draw_trail
 
 from soundspaces_agents.experiments import (
     ACOUSTICS,
@@ -39,9 +40,7 @@ from soundspaces_agents.study import (
     open_test,
 )
 from soundspaces_sim.nav import NavData, Result
-from soundspaces_sim.parts import Interval, draw_trail
-from soundspaces_sim.parts import merge_results as merge
-from soundspaces_sim.parts import publish_file as publish
+from soundspaces_sim.parts import Interval, merge_results as merge, publish_file as publish
 
 matplotlib.use("Agg")
 Results = dict[tuple[str, Condition], Result]

@@ -11,9 +11,13 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
 from soundspaces_sim import Scene
-from soundspaces_sim.parts import FloorColumns as Columns
-from soundspaces_sim.parts import find_floors, floor_heights, walk_straight
-from soundspaces_sim.parts import neighbouring_cells as neighbours
+from soundspaces_sim.parts import (
+    FloorColumns as Columns,
+    find_floors,
+    floor_heights,
+    neighbouring_cells as neighbours,
+    walk_straight,
+)
 
 _LEAST_INDOORS = 1.0  # m² of floor under a roof from which on roofs are no floors
 

@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 from soundspaces_rlr.arguments import vector3
 from soundspaces_rlr.errors import RlrError
 from soundspaces_rlr.habitat.refused import MAGNUM, NO_FILES, RefusedObject, refuse_in, refused
-from soundspaces_rlr.habitat.rotations import Quaternion as _Rotation
-from soundspaces_rlr.habitat.rotations import as_wxyz, matrix
+from soundspaces_rlr.habitat.rotations import Quaternion as _Rotation, as_wxyz, matrix
 
 
 class Deg(float):

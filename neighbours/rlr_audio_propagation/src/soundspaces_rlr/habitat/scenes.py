@@ -10,9 +10,13 @@ import numpy as np
 
 from soundspaces_rlr.errors import RlrError
 from soundspaces_sim import Scene, load_scene
-from soundspaces_sim.parts import LENGTH_UNITS as UNITS
-from soundspaces_sim.parts import PlyElements as Elements
-from soundspaces_sim.parts import find_matterport, read_json, read_labelled_ply
+from soundspaces_sim.parts import (
+    LENGTH_UNITS as UNITS,
+    PlyElements as Elements,
+    find_matterport,
+    read_json,
+    read_labelled_ply,
+)
 
 _NO_DATASET = ("", "default", "none")
 _COLORS = ("red", "green", "blue")

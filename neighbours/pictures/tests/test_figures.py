@@ -12,6 +12,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import soundfile
+from soundspaces_pictures import draw_lobes, interpolate, lobe
+from soundspaces_pictures.field import band_field, field_levels
+from soundspaces_pictures.listen import listening_folder
+from soundspaces_pictures.lobes import moments
+from soundspaces_pictures.pages import draw_page
+from soundspaces_pictures.plot_data import load_plot_data
 
 import soundspaces_sim as ss
 from soundspaces_sim.dataset.format.floorplan import encode_floorplan, read_floorplan
@@ -21,12 +27,6 @@ from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.grid import make_grid
 from soundspaces_sim.layout.records import FloorPlan
 from soundspaces_sim.rendering import dry
-from soundspaces_sim.viz import draw_lobes, interpolate, lobe
-from soundspaces_sim.viz.field import band_field, field_levels
-from soundspaces_sim.viz.listen import listening_folder
-from soundspaces_sim.viz.lobes import moments
-from soundspaces_sim.viz.pages import draw_page
-from soundspaces_sim.viz.plot_data import load_plot_data
 from tests.command_line import run_command
 from tests.marks import ci_slow
 from tests.rooms import plain, table, two_rooms
@@ -212,7 +212,7 @@ def test_dry_sounds() -> None:
 
 @ci_slow
 def test_listening_folder(dataset_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("soundspaces_sim.viz.listen._HEADINGS", (90.0,))  # of four
+    monkeypatch.setattr("soundspaces_pictures.listen._HEADINGS", (90.0,))  # of four
     with ss.open_dataset(dataset_folder) as ds:
         recording = tmp_path / "own.wav"
         soundfile.write(recording, np.random.default_rng(0).standard_normal(800) * 0.1, 8000)

@@ -8,7 +8,7 @@ from typing import Any
 
 import jinja2
 
-from soundspaces_sim.core.io.files import publish
+from soundspaces_sim.parts import publish_file as publish
 
 
 def write_page(template: Path, context: Mapping[str, Any], out: str | Path) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.measures import decay_curve, room_measures
+from soundspaces_sim import Echogram
+from soundspaces_sim.echogram import room_measures
+from soundspaces_sim.parts import decay_curve
 
 _BIN_S = 0.001
 BAND_COLOURS = ["#0072B2", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#D55E00", "#777777", "#000000"]

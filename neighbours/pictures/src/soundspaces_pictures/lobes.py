@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from soundspaces_sim.core.numerics.axes import spherical_harmonics
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.layout.records import FloorPlan
-from soundspaces_sim.viz.plan import BLUE, VERMILION, draw_plan
+from soundspaces_pictures.plan import BLUE, VERMILION, draw_plan
+from soundspaces_sim import Echogram
+from soundspaces_sim.parts import FloorPlan, spherical_harmonics
 
 _LABEL = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 _ORDER = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2])

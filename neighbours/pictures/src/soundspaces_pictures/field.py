@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.layout.records import FloorPlan
-from soundspaces_sim.viz.plan import draw_plan
+from soundspaces_pictures.plan import draw_plan
+from soundspaces_sim import Echogram
+from soundspaces_sim.parts import DEFAULT_BANDS, FloorPlan
 
 _CELL = 0.1  # m
 _NEAREST = 8

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 import soundfile
 from PIL import Image
+from soundspaces_pictures.report import write_report
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.dataset.format.manifest import read_manifest, write_manifest
-from soundspaces_sim.viz.report import write_report
 from tests.conftest import small_job
 from tests.marks import ci_slow
 

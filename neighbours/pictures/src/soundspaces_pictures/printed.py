@@ -19,9 +19,9 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.viz.plan import FURNITURE_NAME
-from soundspaces_sim.viz.registry import check_width
+from soundspaces_pictures.plan import FURNITURE_NAME
+from soundspaces_pictures.registry import check_width
+from soundspaces_sim import ConfigError, SoundSpacesSimError
 
 SUFFIXES = (".pdf", ".svg", ".png")
 _CM = 1.0 / 2.54  # inches

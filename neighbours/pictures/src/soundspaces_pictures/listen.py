@@ -8,14 +8,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.io.sound import mono, read_sound
-from soundspaces_sim.dataset.exporters.wav import wav_bytes
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.rendering import auralise as listening
-from soundspaces_sim.rendering import dry
-from soundspaces_sim.viz.response import draw_spectrogram
+from soundspaces_pictures.response import draw_spectrogram
+from soundspaces_sim import ConfigError, RirDataset
+from soundspaces_sim.parts import make_folder, mono, publish_file as publish, read_sound, wav_bytes
+from soundspaces_sim.rendering import auralise as listening, dry
 
 _HEADINGS = (0.0, 90.0, 180.0, 270.0)
 _PEAK = 0.7

@@ -16,24 +16,27 @@ import soundfile
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from soundspaces_sim.core.config import JobConfig, differences
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.io.files import file_sha256
-from soundspaces_sim.core.numerics.bands import nominal
-from soundspaces_sim.core.version import version_text
-from soundspaces_sim.dataset.format.manifest import NAME, Manifest, rebuild_command
-from soundspaces_sim.dataset.format.verify import verify_dataset
-from soundspaces_sim.dataset.reader import RirDataset, open_dataset
-from soundspaces_sim.dataset.undefined import undefined_times
-from soundspaces_sim.echogram.low_measures import has_octave, octaves_below
-from soundspaces_sim.rendering.auralise import convolve
-from soundspaces_sim.rendering.dry import hand_clap
-from soundspaces_sim.viz.decay import BAND_COLOURS, draw_decay
-from soundspaces_sim.viz.html_page import write_page
-from soundspaces_sim.viz.listen import listening_places
-from soundspaces_sim.viz.pages import draw_page
-from soundspaces_sim.viz.plot_data import dataset_subject
-from soundspaces_sim.viz.response import draw_spectrogram
+from soundspaces_pictures.decay import BAND_COLOURS, draw_decay
+from soundspaces_pictures.html_page import write_page
+from soundspaces_pictures.listen import listening_places
+from soundspaces_pictures.pages import draw_page
+from soundspaces_pictures.plot_data import dataset_subject
+from soundspaces_pictures.response import draw_spectrogram
+from soundspaces_sim import DatasetError, JobConfig, RirDataset, open_dataset, verify_dataset
+from soundspaces_sim.parts import (
+    MANIFEST_NAME as NAME,
+    Manifest,
+    config_differences as differences,
+    convolve_sound as convolve,
+    file_sha256,
+    hand_clap,
+    has_octave,
+    nominal,
+    octaves_below,
+    rebuild_command,
+    undefined_times,
+    version_text,
+)
 
 _log = logging.getLogger(__name__)
 _DPI = 100

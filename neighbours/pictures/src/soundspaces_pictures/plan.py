@@ -7,14 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 
-from soundspaces_sim.layout.records import (
-    KEPT,
-    NO_STANDING,
-    OUTSIDE,
-    TOO_CLOSE,
-    UNREACHABLE,
+from soundspaces_sim import Grid
+from soundspaces_sim.parts import (
+    POINT_KEPT as KEPT,
+    POINT_NO_STANDING as NO_STANDING,
+    POINT_OUTSIDE as OUTSIDE,
+    POINT_TOO_CLOSE as TOO_CLOSE,
+    POINT_UNREACHABLE as UNREACHABLE,
     FloorPlan,
-    Grid,
     storeys_of,
 )
 

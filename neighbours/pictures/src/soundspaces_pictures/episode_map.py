@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.extras import need
-from soundspaces_sim.dataset.format.floorplan import read_floorplan
-from soundspaces_sim.dataset.reader import RirDataset, open_dataset
-from soundspaces_sim.layout.records import storeys_of
-from soundspaces_sim.nav.agents import Observation
-from soundspaces_sim.nav.episode_state import EpisodeState
-from soundspaces_sim.nav.navigation_graph import HEADINGS
+from soundspaces_sim import RirDataset, open_dataset
+from soundspaces_sim.parts import (
+    HEADINGS,
+    EpisodeState,
+    Observation,
+    need_extras as need,
+    read_floorplan,
+    storeys_of,
+)
 
 need("a picture", "figures")
 
@@ -23,7 +25,7 @@ from matplotlib.axes import Axes  # noqa: E402 - after it is known to be there
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from soundspaces_sim.viz.field import Field, band_field, draw_field  # noqa: E402
+from soundspaces_pictures.field import Field, band_field, draw_field  # noqa: E402
 
 _DPI = 80
 _AGENT, _TRAIL = "#000000", "#009E73"

@@ -1,4 +1,4 @@
-"""`plot` and `listen`: datasets and scenes for eyes and ears (extra ``figures``)."""
+"""`soundspaces-sim plot`, `listen` and `report`: datasets and scenes for eyes and ears."""
 
 from __future__ import annotations
 
@@ -9,26 +9,30 @@ from typing import Annotated, Any
 
 import typer
 
+import soundspaces_pictures as viz
 import soundspaces_sim as ss
-from soundspaces_sim import viz
-from soundspaces_sim.cli.console import DAMAGED, Meter
-from soundspaces_sim.cli.options import (
+from soundspaces_pictures.registry import PAGES, check_width
+from soundspaces_sim import ConfigError, SoundSpacesSimError
+from soundspaces_sim.parts import (
+    DAMAGED,
     HrtfOption,
+    Meter,
     NoiseOption,
     RendererOption,
     ReplaceOption,
     SpeechOption,
-    check_file,
+    TableEntry as Entry,
+    check_entry_name as check_name,
+    check_file_option as check_file,
+    check_parameters,
     check_renderer_option,
+    entry_names as names,
     need_matplotlib,
+    of_neighbour,
     output_file,
     output_folder,
     speech_of,
 )
-from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.core.registry import Entry, check_name, names, of_neighbour
-from soundspaces_sim.dataset.room_parameters.registry import check_parameters
-from soundspaces_sim.viz.registry import PAGES, check_width
 
 _HTML = (".html", ".htm")
 _RECEIVER_PAGE = Entry(
@@ -85,8 +89,8 @@ def plot(
     if printed is not None:
         check_width(printed, "--print")
     need_matplotlib()
-    from soundspaces_sim.viz import pages
-    from soundspaces_sim.viz.plot_data import load_plot_data
+    from soundspaces_pictures import pages
+    from soundspaces_pictures.plot_data import load_plot_data
 
     found = load_plot_data(subject, spacing)
     parameter, band = parameter or found.parameter, band or found.band_hz
@@ -195,3 +199,11 @@ def _report_receiver(
         path = output_file(out, f"receiver_{receiver}_source_{chosen}.html", dataset, _HTML, replace)
         write(ds, chosen, receiver, path, speech)
     print(f"Wrote {path}")
+
+
+plot_app, listen_app, report_app = (
+    typer.Typer(add_completion=False, pretty_exceptions_enable=False) for _ in range(3)
+)
+plot_app.command()(plot)
+listen_app.command()(listen)
+report_app.command()(report)

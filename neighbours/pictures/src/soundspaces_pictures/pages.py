@@ -12,27 +12,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.limits import require_within
-from soundspaces_sim.dataset.room_parameters.of_echograms import room_parameters
-from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, check_parameters
-from soundspaces_sim.dataset.room_parameters.table import ParameterTable
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.low_response import LowResponse
-from soundspaces_sim.layout.records import FloorPlan
-from soundspaces_sim.rendering.ambisonics import ambisonic_rir
-from soundspaces_sim.rendering.binaural import binaural_rir
-from soundspaces_sim.viz.field import interpolate
-from soundspaces_sim.viz.plan import draw_plan
-from soundspaces_sim.viz.plot_data import PlotData, on_storey
+from soundspaces_pictures.field import interpolate
+from soundspaces_pictures.plan import draw_plan
+from soundspaces_pictures.plot_data import PlotData, on_storey
+from soundspaces_sim import ConfigError, Echogram, ambisonic_rir, binaural_rir, room_parameters
+from soundspaces_sim.parts import (
+    PARAMETERS,
+    FloorPlan,
+    LowResponse,
+    ParameterTable,
+    check_parameters,
+    require_within,
+)
 
 matplotlib.use("Agg")  # pictures are files here
 
 from matplotlib.animation import FuncAnimation, PillowWriter
 
-from soundspaces_sim.core.registry import find
-from soundspaces_sim.viz.decay import draw_decay
-from soundspaces_sim.viz.field import (
+from soundspaces_pictures.decay import draw_decay
+from soundspaces_pictures.field import (
     Field,
     band_field,
     draw_error,
@@ -40,16 +38,12 @@ from soundspaces_sim.viz.field import (
     field_levels,
     level_limits,
 )
-from soundspaces_sim.viz.lobes import draw_lobes
-from soundspaces_sim.viz.plan import draw_map
-from soundspaces_sim.viz.plot_data import (
-    WALKS,
-    default_listeners,
-    default_source,
-    storeys_in,
-)
-from soundspaces_sim.viz.registry import PAGES
-from soundspaces_sim.viz.response import draw_spectrogram, draw_waveform
+from soundspaces_pictures.lobes import draw_lobes
+from soundspaces_pictures.plan import draw_map
+from soundspaces_pictures.plot_data import WALKS, default_listeners, default_source, storeys_in
+from soundspaces_pictures.registry import PAGES
+from soundspaces_pictures.response import draw_spectrogram, draw_waveform
+from soundspaces_sim.parts import find_entry as find
 
 _RATE = 44100
 _MOST_FRAMES = 24

@@ -7,21 +7,29 @@ from pathlib import Path
 
 import numpy as np
 
-from soundspaces_sim.core.config import GridConfig, SimulationConfig
-from soundspaces_sim.core.simulation_config import DEFAULT_WALKS
-from soundspaces_sim.dataset.format.floorplan import read_floorplan
-from soundspaces_sim.dataset.format.manifest import NAME
-from soundspaces_sim.dataset.reader import RirDataset, open_dataset
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.low_response import LowResponse
-from soundspaces_sim.layout.floor_plan import make_floorplan
-from soundspaces_sim.layout.grid import make_grid
-from soundspaces_sim.layout.navigation_graph import make_graph
-from soundspaces_sim.layout.records import FloorPlan, Grid, storeys_of
-from soundspaces_sim.scene.load import load_scene
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.low_method import installed
-from soundspaces_sim.transport.simulate import simulate
+from soundspaces_sim import (
+    Echogram,
+    Grid,
+    GridConfig,
+    RirDataset,
+    Scene,
+    SimulationConfig,
+    load_scene,
+    make_graph,
+    make_grid,
+    open_dataset,
+    simulate,
+)
+from soundspaces_sim.parts import (
+    DEFAULT_WALKS,
+    MANIFEST_NAME as NAME,
+    FloorPlan,
+    LowResponse,
+    installed_low_method as installed,
+    make_floorplan,
+    read_floorplan,
+    storeys_of,
+)
 
 LEVEL_WALKS = 250  # of a scene: enough for levels and directions
 WAVES_S = 0.8  # s, of responses below the first band's edge

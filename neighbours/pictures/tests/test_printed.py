@@ -16,12 +16,12 @@ import matplotlib.pyplot as plt
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from soundspaces_pictures.decay import BAND_COLOURS
+from soundspaces_pictures.plan import BLUE, GREEN, ORANGE, VERMILION
+from soundspaces_pictures.printed import as_printed, save_printed
+from soundspaces_pictures.registry import WIDTHS_CM
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.viz.decay import BAND_COLOURS
-from soundspaces_sim.viz.plan import BLUE, GREEN, ORANGE, VERMILION
-from soundspaces_sim.viz.printed import as_printed, save_printed
-from soundspaces_sim.viz.registry import WIDTHS_CM
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 #: What dichromats see of linear RGB: Machado, Oliveira & Fernandes 2009, severity 1.
