@@ -18,6 +18,7 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+import soundspaces_parameters
 import soundspaces_pictures
 from matplotlib.figure import Figure
 from soundspaces_pictures.pages import draw_page
@@ -71,7 +72,7 @@ def parameters() -> Figure:
 
     T30 and EDT of one pair; bars are two standard errors, which come with the simulation.
     """
-    table = ss.room_parameters(_lecture_room()[0, 6], ["t30", "edt"], "octaves")
+    table = soundspaces_parameters.room_parameters(_lecture_room()[0, 6], ["t30", "edt"], "octaves")
     octave = np.array(table.bands.centre)
     figure, ax = plt.subplots(figsize=(5.0, 3.4), layout="constrained")
     for name, colour, shift in (("t30", BLUE, 0.97), ("edt", ORANGE, 1.03)):
@@ -94,7 +95,7 @@ def distance() -> Figure:
     mean of T30; dotted: the direct sound alone.
     """
     echoes = _lecture_room()
-    table = ss.room_parameters(echoes, ["g", "t30"], "octaves")
+    table = soundspaces_parameters.room_parameters(echoes, ["g", "t30"], "octaves")
     k = int(np.argmin(np.abs(np.array(table.bands.centre) - 1000.0)))
     away = np.linalg.norm(echoes.listeners - echoes.sources[0], axis=1)
     figure, ax = plt.subplots(figsize=(5.0, 3.4), layout="constrained")

@@ -30,12 +30,10 @@ from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
 from .dataset.random_materials import RandomMaterials
 from .dataset.reader import RirDataset, open_dataset, read_room
-from .dataset.room_parameters.of_echograms import room_parameters
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
 from .echogram.in_bands import in_bands
-from .echogram.parameters.speech import Speech
 from .echogram.refurnish import refurnished
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
@@ -98,7 +96,6 @@ __all__ = [
     "SoundSpacesSimError",
     "Source",
     "SpecularConfig",
-    "Speech",
     "SphericalHarmonics",
     "Stage",
     "Talker",
@@ -125,7 +122,6 @@ __all__ = [
     "profiled",
     "read_room",
     "refurnished",
-    "room_parameters",
     "shoebox",
     "simulate",
     "simulate_many",

@@ -14,6 +14,7 @@ from .build.rooms import ROOM_CONFIG, in_processes, room_named
 from .build.warm_up import WarmUp, start as compile_ahead
 from .build.worker import Done as TaskDone, work as work_tile
 from .cli.console import DAMAGED, INTERRUPTED, Meter, run_app, size_text
+from .cli.datasets import print_doubts
 from .cli.options import (
     HrtfOption,
     NoiseOption,
@@ -53,12 +54,13 @@ from .core.io.resources import resource as packaged_file
 from .core.io.sofa import data_delay, delayed
 from .core.io.sound import mono, read_sound
 from .core.io.untrusted import MOST_JSON, read_bytes, read_json, read_text
-from .core.keywords import check_keywords, nearest as nearest_name
+from .core.keywords import check_keywords, did_you_mean, nearest as nearest_name
 from .core.limits import LEAST_DISTANCE, LONGEST as LONGEST_RESPONSE, require_within
 from .core.memory import check_memory, free_memory
 from .core.numerics.air import Air
 from .core.numerics.axes import (
     CHANNELS as SECOND_ORDER_CHANNELS,
+    DEGREE as HARMONIC_DEGREE,
     check_degrees,
     head_matrix,
     rotation_matrices,
@@ -67,7 +69,10 @@ from .core.numerics.axes import (
 )
 from .core.numerics.bands import (
     DEFAULT_BANDS,
+    HIGHEST_OCTAVE,
+    LOWEST as LOWEST_BAND,
     MOST_BANDS,
+    PER_OCTAVE as BANDS_PER_OCTAVE,
     band_means,
     center_frequencies,
     check_edges,
@@ -135,11 +140,17 @@ from .dataset.format.manifest import (
 )
 from .dataset.format.shard import FAILED as FAILED_PAIR, Shard, is_valid as is_valid_shard
 from .dataset.format.splits import SPLITS, read_splits, write_splits
+from .dataset.format.table import Metadata as ColumnMetadata, as_frame as as_data_frame, write_table
 from .dataset.format.writing import encode_echograms
 from .dataset.labels import source_direction
-from .dataset.room_parameters.registry import PARAMETERS, check_parameters
-from .dataset.room_parameters.table import ParameterTable
-from .dataset.sampling import as_pairs, check_pairs, for_each as for_each_pair, pairs_of_two
+from .dataset.sampling import (
+    as_pairs,
+    as_points as as_point_rows,
+    check_pairs,
+    for_each as for_each_pair,
+    pairs_of_two,
+)
+from .dataset.stored import StoredResponses
 from .dataset.undefined import undefined_times
 from .echogram.closure import MOST_GAIN
 from .echogram.directed import directed_table
@@ -166,7 +177,19 @@ from .echogram.filters import (
     sinc_table,
     white_noise,
 )
-from .echogram.low_measures import LOW_MEASURES, has_octave, low_levels, low_measures, octaves_below
+from .echogram.in_bands import (
+    Pieces as BandPieces,
+    pieces_of as band_pieces,
+    without_air as without_air_in_bands,
+)
+from .echogram.low_measures import (
+    LOW_MEASURES,
+    bands_below,
+    has_octave,
+    low_levels,
+    low_measures,
+    octaves_below,
+)
 from .echogram.low_response import (
     CHANNELS as LOW_CHANNELS,
     LEAD_S,
@@ -188,13 +211,18 @@ from .echogram.measure_errors import DIRECT_S
 from .echogram.measure_names import MEASURES
 from .echogram.measures import (
     BIN_S,
+    LARGEST_ERROR as LARGEST_TIME_ERROR,
     RANGES,
+    RoomMeasures,
     band_energies,
     decay_curve,
     echograms_measures,
     energy_measures,
+    energy_ratios,
     first_loud,
     levels_of,
+    reverberation_times,
+    up_to as energy_up_to,
 )
 from .echogram.reflection_counts import MOST_RATIO, MaterialGroups, between_windows
 from .echogram.refurnish import MOST_DB, Materials, closure_error_db, window_strength
@@ -316,6 +344,7 @@ from .transport.techniques import TECHNIQUES
 
 __all__ = [
     "ARRIVAL_KINDS",
+    "BANDS_PER_OCTAVE",
     "BASELINES",
     "BIN_S",
     "CAMERA_HEIGHT",
@@ -332,7 +361,9 @@ __all__ = [
     "FORWARD",
     "FREE",
     "HABITAT_HEIGHT",
+    "HARMONIC_DEGREE",
     "HEADINGS",
+    "HIGHEST_OCTAVE",
     "HIGH_ORDER_WAVES",
     "INTERRUPTED",
     "INV_4PI",
@@ -340,11 +371,13 @@ __all__ = [
     "KIND_EDGE_MIRROR",
     "KIND_MIRRORS",
     "KIND_MIRRORS_AND_BACK",
+    "LARGEST_TIME_ERROR",
     "LEAD_S",
     "LEAST_DISTANCE",
     "LEFT",
     "LENGTH_UNITS",
     "LONGEST_RESPONSE",
+    "LOWEST_BAND",
     "LOW_CHANNELS",
     "LOW_MEASURES",
     "MAKER",
@@ -358,7 +391,6 @@ __all__ = [
     "MOST_JSON",
     "MOST_RATIO",
     "NEAR_M",
-    "PARAMETERS",
     "PLANE_WAVES",
     "POINTGOAL",
     "POINT_KEPT",
@@ -381,9 +413,11 @@ __all__ = [
     "WAV_HEADER",
     "Agent",
     "Air",
+    "BandPieces",
     "BlockCache",
     "CollectionFailure",
     "CollectionManifest",
+    "ColumnMetadata",
     "Convention",
     "DatasetConfig",
     "EarMode",
@@ -416,7 +450,6 @@ __all__ = [
     "Model",
     "NoiseOption",
     "Observation",
-    "ParameterTable",
     "PlyElements",
     "PlyLists",
     "PreparedScene",
@@ -424,6 +457,7 @@ __all__ = [
     "Read",
     "RendererOption",
     "ReplaceOption",
+    "RoomMeasures",
     "SceneFormat",
     "SensorSuite",
     "Shard",
@@ -431,6 +465,7 @@ __all__ = [
     "SimulatedPaths",
     "SpecularPlanes",
     "SpeechOption",
+    "StoredResponses",
     "TableEntry",
     "TaskDone",
     "TaskName",
@@ -446,8 +481,10 @@ __all__ = [
     "air_spectrum",
     "air_transmission",
     "arrival_filters",
+    "as_data_frame",
     "as_ears",
     "as_pairs",
+    "as_point_rows",
     "as_points",
     "as_sensors",
     "at_points",
@@ -455,9 +492,11 @@ __all__ = [
     "band_energies",
     "band_means",
     "band_noise",
+    "band_pieces",
     "band_plans",
     "band_shares",
     "band_windows",
+    "bands_below",
     "beside_edge",
     "between_windows",
     "cache_root",
@@ -476,7 +515,6 @@ __all__ = [
     "check_memory",
     "check_order",
     "check_pairs",
-    "check_parameters",
     "check_picture_size",
     "check_ply",
     "check_rate",
@@ -503,6 +541,7 @@ __all__ = [
     "decoder_filters",
     "decoder_transform",
     "delayed",
+    "did_you_mean",
     "direct_arrival",
     "directed_table",
     "direction_filters",
@@ -514,6 +553,8 @@ __all__ = [
     "encode_echograms",
     "end_with",
     "energy_measures",
+    "energy_ratios",
+    "energy_up_to",
     "entry_names",
     "env_options",
     "exclusive_file",
@@ -610,6 +651,7 @@ __all__ = [
     "prepare_planes",
     "prepare_scene",
     "prepare_wedges",
+    "print_doubts",
     "profile_here",
     "profile_stage",
     "publish_file",
@@ -633,6 +675,7 @@ __all__ = [
     "response_rate",
     "response_samples",
     "response_samples_of",
+    "reverberation_times",
     "room_named",
     "rotation_matrices",
     "rotation_matrix",
@@ -685,10 +728,12 @@ __all__ = [
     "white_noise",
     "window_strength",
     "with_notes",
+    "without_air_in_bands",
     "without_arrivals",
     "work_tile",
     "worker_pool",
     "write_collection",
     "write_splits",
+    "write_table",
     "written_hdf5",
 ]

@@ -52,7 +52,7 @@ _BUILD = (
     "soundspaces_sim.cli rirs demo --spacing 4 --walks 16 --store both --out set",
     "soundspaces_rooms --count 2 --format hdf5 --walks 16 --out rooms",
     "soundspaces_sim.cli table set/demo --out pairs.parquet",
-    "soundspaces_sim.cli table set/demo --octaves --out octaves.xlsx",
+    "soundspaces_sim.cli parameters set/demo --out octaves.xlsx",
     "soundspaces_sim.cli export wav set/demo --out wav",
     "soundspaces_sim.cli export sofa set/demo --out sofa",
     "soundspaces_sim.cli plot set/demo --out map.png",

@@ -15,21 +15,17 @@ from soundspaces_sim import rendering
 from soundspaces_sim.cli.console import DAMAGED, Meter, console, size_text
 from soundspaces_sim.cli.options import (
     HrtfOption,
-    NoiseOption,
     RendererOption,
     ReplaceOption,
-    SpeechOption,
     ask_to_replace,
     check_folder,
     check_renderer_option,
     open_found,
     output_file,
-    speech_of,
 )
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.registry import names
 from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
-from soundspaces_sim.dataset.room_parameters.registry import SUFFIXES
 
 if TYPE_CHECKING:
     from soundspaces_sim.dataset.exporters.plan import ExportPlan
@@ -62,7 +58,7 @@ def verify(
         )
         print(f"{dataset}: {len(manifest.shards)} files are whole ({how}).")
         _say_not_compared(verification.not_compared(dataset))
-        _print_doubts(manifest)
+        print_doubts(manifest)
         _print_undefined(dataset)
         return
     for problem in problems:
@@ -85,7 +81,7 @@ def _say_not_compared(files: list[str]) -> None:
         )
 
 
-def _print_doubts(manifest: Manifest) -> None:
+def print_doubts(manifest: Manifest) -> None:
     """What was cut, and what is in doubt."""
     for note in manifest.notes:
         if note.startswith(("cut: ", "in doubt: ")):
@@ -101,31 +97,11 @@ def _print_undefined(dataset: Path) -> None:
             print(f"  {line}")
 
 
-OctavesOption = Annotated[
-    bool, typer.Option("--octaves", help="Room-acoustic parameters per octave instead.")
-]
-ThirdsOption = Annotated[
-    bool, typer.Option("--thirds", help="Room-acoustic parameters per third of an octave instead.")
-]
-ParametersOption = Annotated[
-    str | None, typer.Option(help="Which ones, with commas, as in t30,c80,sti; by default all.")
-]
-WavesOption = Annotated[
-    bool,
-    typer.Option(
-        "--waves",
-        help="Of octaves or thirds below the edge of waves, those of the waves; their errors are NaN.",
-    ),
-]
-
-
 def table(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="File to write, .csv or .parquet, of parameters also .xlsx; by default in the dataset's folder."
-        ),
+        typer.Option(help="File to write, .csv or .parquet; by default in the dataset's folder."),
     ] = None,
     collocated: Annotated[
         bool, typer.Option("--collocated", help="Also pairs whose source and listener are one point.")
@@ -133,74 +109,18 @@ def table(
     spreads: Annotated[
         bool, typer.Option("--spreads", help="Also what measures owe to how well absorption is known.")
     ] = False,
-    octaves: OctavesOption = False,
-    thirds: ThirdsOption = False,
-    parameters: ParametersOption = None,
-    source: Annotated[
-        list[int] | None, typer.Option(help="Only of this source; may be repeated.")
-    ] = None,
-    listener: Annotated[
-        list[int] | None, typer.Option(help="Only at this listener; may be repeated.")
-    ] = None,
-    speech_level: SpeechOption = 60.0,
-    noise: NoiseOption = None,
-    hrtf: HrtfOption = None,
-    waves: WavesOption = False,
     replace: ReplaceOption = False,
 ) -> None:
-    """Write the table of pairs: positions, distances, room measures, error bars; or parameters in octaves."""
+    """Write the table of pairs: positions, distances, room measures, error bars."""
     from soundspaces_sim.dataset.format.table import write_table
 
-    if spreads and (octaves or thirds):
-        raise ConfigError("--spreads belongs to the table of pairs, without --octaves and --thirds")
-    if octaves or thirds:
-        chosen = None if parameters is None else tuple(x.strip() for x in parameters.split(","))
-        _parameters(
-            dataset,
-            output_file(out, "parameters.csv", dataset, SUFFIXES, replace),
-            chosen,
-            "thirds" if thirds else "octaves",
-            (source, listener),
-            speech_of(speech_level, noise),
-            hrtf,
-            waves,
-        )
-        return
-    if parameters is not None or source or listener or waves:
-        raise ConfigError(
-            "--parameters, --source, --listener and --waves belong to --octaves or --thirds"
-        )
     path = output_file(out, "pairs.csv", dataset, (".csv", ".parquet"), replace)
     with ss.open_dataset(dataset) as ds:
         rows, columns = ds.table(collocated=collocated), ds.columns(spreads)
         rows = ds.with_spreads(rows) if spreads else rows
     written = write_table(rows, path, columns)
     print(f"Wrote {' and '.join(str(path) for path in written)}: {len(rows):,} pairs")
-    _print_doubts(ds.manifest)
-
-
-def _parameters(
-    dataset: Path,
-    out: Path,
-    names: Sequence[str] | None,
-    bands: str,
-    ends: tuple[list[int] | None, list[int] | None],
-    speech: Any,
-    hrtf: Path | None,
-    waves: bool,
-) -> None:
-    with ss.open_dataset(dataset, hrtf=hrtf) as ds:
-        every = range(len(ds.points))
-        sources, listeners = (every if chosen is None else chosen for chosen in ends)
-        pairs = [(s, l) for s in sources for l in listeners if s != l]
-        if not pairs:
-            raise ConfigError("--source, --listener: expected at least one pair of two points")
-        with Meter("Parameters") as meter:
-            meter.stage(f"Parameters of {len(pairs):,} pairs")
-            found = ds.parameters(names, bands, pairs, speech=speech, waves=waves, progress=meter.update)
-    written = found.write(out)
-    print(f"Wrote {' and '.join(str(path) for path in written)}: {len(pairs):,} pairs")
-    _print_doubts(ds.manifest)
+    print_doubts(ds.manifest)
 
 
 def cite(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:

@@ -15,17 +15,21 @@ GROUP = "soundspaces_sim.commands"  # of entry points; each is a typer app, by t
 #: Folders in neighbours/ and help of every command.
 COMMANDS = {
     "collection": (
-        "buildings pictures collections",
+        "buildings parameters pictures collections",
         "Build datasets of many generated buildings: splits, episodes, report.",
     ),
     "rooms": (
         "buildings exports rooms",
         "Simulate many rooms: random ones for speech, or those of a list.",
     ),
-    "plot": ("pictures", "Draw a picture of a dataset or a scene."),
-    "listen": ("pictures", "Write sounds at three places and four headings, to listen."),
-    "report": ("pictures", "Write one HTML page on a dataset, or on one receiver."),
-    "explore": ("explorer", "Hear a scene in the browser while it is simulated, or a dataset."),
+    "parameters": ("parameters", "Write room-acoustic parameters of pairs, in octaves or thirds."),
+    "plot": ("parameters pictures", "Draw a picture of a dataset or a scene."),
+    "listen": ("parameters pictures", "Write sounds at three places and four headings, to listen."),
+    "report": ("parameters pictures", "Write one HTML page on a dataset, or on one receiver."),
+    "explore": (
+        "parameters explorer",
+        "Hear a scene in the browser while it is simulated, or a dataset.",
+    ),
 }
 WITHOUT_OWN_OPTIONS = {
     "allow_extra_args": True,

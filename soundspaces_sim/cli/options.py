@@ -46,25 +46,6 @@ ReplaceOption = Annotated[
     bool, typer.Option("--replace", help="Write over files that are there, without asking.")
 ]
 
-SpeechOption = Annotated[
-    float, typer.Option(help="Speech transmission: A-weighted level of speech at 1 m, dB.")
-]
-NoiseOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Speech transmission: noise at the listener, dB, seven octaves from 125 Hz: a,b,c,d,e,f,g."
-    ),
-]
-
-
-def speech_of(level_db: float, noise: str | None) -> Any:
-    """The `Speech` of both options. Raises `ConfigError`."""
-    try:
-        levels = None if noise is None else tuple(float(x) for x in noise.split(","))
-    except ValueError:
-        raise ConfigError(f"--noise {noise}: expected seven numbers with commas between them") from None
-    return ss.Speech(level_db, levels)
-
 
 def check_renderer_option(renderer: str | None) -> None:
     """Raise `ConfigError`, which blames the flag, for a name that is none."""

@@ -25,9 +25,10 @@ from soundspaces_sim import rendering
 from soundspaces_sim.core.config import SimulationConfig, check_rate
 from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees, check_head
+from soundspaces_sim.core.registry import Entry, of_neighbour
 from soundspaces_sim.core.simulation_config import without_constants
 from soundspaces_sim.core.svg import BLUE, GREY, Dots, Layer, Lines, html, svg
-from soundspaces_sim.dataset import room_parameters, sampling
+from soundspaces_sim.dataset import sampling
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import Manifest
@@ -47,10 +48,7 @@ if TYPE_CHECKING:
     import networkx
     import pandas
 
-    from soundspaces_sim.dataset.room_parameters.office import OfficeParameters
-    from soundspaces_sim.dataset.room_parameters.table import ParameterTable
     from soundspaces_sim.echogram.endpoints import Directivity
-    from soundspaces_sim.echogram.parameters.speech import Speech
     from soundspaces_sim.rendering.ears import Ears
     from soundspaces_sim.rendering.microphones import MicrophoneArray
     from soundspaces_sim.rendering.rendering import Rendering
@@ -59,6 +57,8 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
+_PARAMETERS = Entry("soundspaces_parameters:dataset_parameters", "parameters of ISO 3382", "parameters")
+_OFFICE = Entry("soundspaces_parameters:dataset_office", "parameters of an office", "parameters")
 
 Kind = Literal["binaural", "ambisonic", "monaural", "echogram"]
 _CHANNELS = {"binaural": 2, "ambisonic": 9, "monaural": 1}
@@ -388,33 +388,33 @@ class RirDataset:
         bands: str | Sequence[float] = "octaves",
         pairs: ArrayLike | None = None,
         *,
-        speech: Speech | None = None,
+        speech: Any = None,
         source: Directivity | str | None = None,
         waves: bool = False,
         progress: Callable[[int, int], None] | None = None,
-    ) -> ParameterTable:
+    ) -> Any:
         """Room-acoustic parameters (ISO 3382-1, IEC 60268-16) of (k, 2) `pairs`, by default all of two points,
-        each with its standard error and what it may be off for the course within simulated bands.
+        each with its standard error and what it may be off for the course within simulated bands: a
+        `soundspaces_parameters.ParameterTable` (neighbours/parameters).
 
-        `names`: of `room_parameters.registry.PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``,
-        ``stored``, or edges in Hz; `speech` and noise are for the speech transmission index. With `waves`, measures
-        of decay and clarity in bands below the edge of waves are those of `low`, of which no error is known
-        (`soundspaces_sim.low_measures` finds them). `progress` is told of pairs done, of how many. Raises
+        `names`: of `soundspaces_parameters.PARAMETERS`, by default all; `bands`: ``octaves``, ``thirds``,
+        ``stored``, or edges in Hz; `speech`: a `soundspaces_parameters.Speech`, for the speech transmission
+        index. With `waves`, measures of decay and clarity in bands below the edge of waves are those of `low`,
+        of which no error is known. `progress` is told of pairs done, of how many. Raises
         `ConfigError`, `PairIndexError`, `DatasetError`.
         """
         hrtf = self.hrtf if self.hrtf is None or isinstance(self.hrtf, str | Path) else self.hrtf.hrtf
         directed = None if source is None else lambda s, l: self.echogram(s, l, source)
-        of_dataset = room_parameters.dataset_parameters
+        of_dataset = of_neighbour("parameters of ISO 3382", _PARAMETERS)
         return of_dataset(self._stored, names, bands, pairs, speech, hrtf, directed, waves, progress)
 
-    def office(
-        self, source: int, listeners: ArrayLike, noise_db: Sequence[float] | None = None
-    ) -> OfficeParameters:
+    def office(self, source: int, listeners: ArrayLike, noise_db: Sequence[float] | None = None) -> Any:
         """Single numbers of an open-plan office (ISO 3382-3): of a source and at least four listeners along a
         line, 2 to 16 m away. `noise_db`: seven levels of background noise, octaves from 125 Hz to 8 kHz;
         without it the distances of distraction and privacy are those of a silent office. Raises `ConfigError`,
-        `PairIndexError`."""
-        return room_parameters.dataset_office(self._stored, source, listeners, noise_db)
+        `PairIndexError`. A `soundspaces_parameters.OfficeParameters` (neighbours/parameters)."""
+        of_dataset = of_neighbour("parameters of an office", _OFFICE)
+        return of_dataset(self._stored, source, listeners, noise_db)
 
     def graph(self) -> networkx.Graph:
         """The navigation graph: nodes are rows of `points`."""

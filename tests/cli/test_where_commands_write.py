@@ -35,7 +35,6 @@ def test_nothing_is_written_into_a_dataset(dataset: Path, command: tuple[str, ..
     ("command", "name"),
     [
         (("table", "room"), "pairs.csv"),
-        (("table", "room", "--octaves", "--parameters", "c80", "--source", "0"), "parameters.csv"),
     ],
 )
 def test_a_datasets_files_go_beside_it_and_are_not_replaced_unasked(

@@ -133,8 +133,6 @@ def test_spreads_in_the_table_and_the_report(folder: Path, tmp_path: Path) -> No
     assert "t30_spread_0" in (tmp_path / "t.csv").read_text().splitlines()[0]
     write_report(folder, tmp_path / "r.html")
     assert "by how well absorption is known" in (tmp_path / "r.html").read_text()
-    refused = run_command("table", str(folder), "--spreads", "--octaves", cwd=tmp_path)
-    assert refused.returncode != 0 and "without --octaves" in refused.stderr
 
 
 def _read(data: Any, **how: Any) -> list[np.ndarray]:

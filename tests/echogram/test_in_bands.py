@@ -6,12 +6,13 @@ import tomllib
 
 import numpy as np
 import pytest
+import soundspaces_parameters
+from soundspaces_parameters.evaluate import Conditions, Pair, bands_of
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, band_means, fractional_octaves
-from soundspaces_sim.dataset.room_parameters.evaluate import Conditions, Pair, bands_of
 from soundspaces_sim.echogram.in_bands import pieces_of
 from tests.echogram.test_parameters import FRONT, echogram
 
@@ -126,7 +127,7 @@ def test_the_error_of_interpolation_is_that_of_real_materials() -> None:
         plain.append(np.mean(np.log(value / truth)[use] ** 2))
         edges = pair.bands.edges
         rough = ss.in_bands(pair.stored, edges, staircase=True)
-        flat = ss.room_parameters(rough, "t20", edges)["t20"][0][octaves]
+        flat = soundspaces_parameters.room_parameters(rough, "t20", edges)["t20"][0][octaves]
         stairs.append(np.mean(np.log(flat / truth)[use] ** 2))
     assert 0.5 < np.sqrt(np.median(z)) < 1.3, np.sqrt(np.median(z))
     assert np.sqrt(np.mean(plain)) < 0.10, np.sqrt(np.mean(plain))

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import soundspaces_parameters
 from msgspec import structs
 from soundspaces_explorer.absorption import chosen_table, materials_file, with_absorption
 from soundspaces_explorer.job import JobMaker
@@ -67,7 +68,7 @@ def test_estimates_are_those_of_simulate_and_sharpen(
         np.testing.assert_array_equal(answer.echogram.energy, wanted.energy)
         np.testing.assert_array_equal(answer.echogram.early.delay, wanted.early.delay)
     last = answers[-1]
-    expected = ss.room_parameters(wanted, ("t30", "c50", "sti"), "stored")
+    expected = soundspaces_parameters.room_parameters(wanted, ("t30", "c50", "sti"), "stored")
     np.testing.assert_allclose(last.measures["t30"][:, 0], expected["t30"][0], rtol=1e-12)
     np.testing.assert_allclose(last.measures["sti"][0, 0], expected["sti"][0, 0], rtol=1e-12)
     assert np.isfinite(last.measures["c50"]).all() and (last.measures["c50"][:, 1] > 0.0).all()

@@ -17,9 +17,9 @@ from msgspec.structs import replace
 from scipy.io import wavfile
 from scipy.signal import fftconvolve
 from soundspaces_exports.ambisonics import plan_ambisonics
-from soundspaces_exports.iso3382 import plan_iso3382
 from soundspaces_exports.pickled import read_graph
 from soundspaces_exports.soundspaces1 import ONSET, plan_soundspaces1
+from soundspaces_parameters.iso3382 import plan_iso3382
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError, PointError

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from soundspaces_parameters.registry import PARAMETERS
 from soundspaces_pictures import commands as pictures
 from soundspaces_receiver_page.page import Reflection, _line, edges_told, planes_told, reflections
 from typer.testing import CliRunner
@@ -14,7 +15,6 @@ from typer.testing import CliRunner
 import soundspaces_sim as ss
 from neighbours.pictures.tests.test_report import _Page
 from soundspaces_sim.cli.app import app
-from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
 from soundspaces_sim.echogram.echogram import EDGE, KINDS, Arrivals
 from tests.dataset.test_room_parameters import ds as ds
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import soundspaces_parameters
 import soundspaces_waves as sw
 
 import soundspaces_sim as ss
@@ -133,10 +134,10 @@ def test_measures_of_waves_are_beside_those_of_echograms(ds: ss.RirDataset) -> N
         np.testing.assert_array_equal(waves.values[name][:, 2:], plain.values[name][:, 2:])
     np.testing.assert_array_equal(waves.values["g"], plain.values["g"])
     echogram = ds.echogram(0, 1)
-    alone = ss.room_parameters(echogram, "c80", waves=True)
+    alone = soundspaces_parameters.room_parameters(echogram, "c80", waves=True)
     np.testing.assert_array_equal(alone["c80"], waves["c80"][:1])
     with pytest.raises(ConfigError, match="there are none"):
-        ss.room_parameters(replace(echogram, low=None), "c80", waves=True)
+        soundspaces_parameters.room_parameters(replace(echogram, low=None), "c80", waves=True)
     with pytest.raises(ConfigError, match="edges up to 176 Hz"):
         low_measures(ds.low(0, 1), (50.0, 400.0), None)
 

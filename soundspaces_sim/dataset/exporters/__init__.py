@@ -46,9 +46,9 @@ EXPORTERS: Mapping[str, Entry] = {
         "exports",
     ),
     "iso3382": Entry(
-        "soundspaces_exports.iso3382:plan_iso3382",
+        "soundspaces_parameters.iso3382:plan_iso3382",
         "impulse responses and ISO 3382-1 tables for programs that measure rooms",
-        "exports",
+        "parameters",
     ),
     "wav": Entry("soundspaces_sim.dataset.exporters.wav:plan_wav", "plain WAV files"),
     "webdataset": Entry(

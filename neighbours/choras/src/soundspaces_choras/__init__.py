@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from soundspaces_parameters import room_parameters
 
 from soundspaces_sim import (
     MaterialTable,
@@ -26,7 +27,6 @@ from soundspaces_sim import (
     SoundSpacesSimError,
     ambisonic_rir,
     load_scene,
-    room_parameters,
     simulate,
 )
 from soundspaces_sim.parts import check_rate, pair_seed, publish_file as publish, read_json

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import structs
+from soundspaces_parameters import room_parameters
 
 from soundspaces_explorer.absorption import with_absorption
 from soundspaces_sim import (
@@ -41,7 +42,6 @@ from soundspaces_sim import (
     binaural_rir,
     make_grid,
     refurnished,
-    room_parameters,
 )
 from soundspaces_sim.parts import (
     DIRECT_SOUND,

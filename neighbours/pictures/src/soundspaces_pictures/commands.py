@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from soundspaces_parameters.registry import check_parameters
 
 import soundspaces_pictures as viz
 import soundspaces_sim as ss
@@ -24,7 +25,6 @@ from soundspaces_sim.parts import (
     TableEntry as Entry,
     check_entry_name as check_name,
     check_file_option as check_file,
-    check_parameters,
     check_renderer_option,
     entry_names as names,
     need_matplotlib,

@@ -11,19 +11,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
+from soundspaces_parameters import room_parameters
+from soundspaces_parameters.registry import PARAMETERS, check_parameters
+from soundspaces_parameters.table import ParameterTable
 
 from soundspaces_pictures.field import interpolate
 from soundspaces_pictures.plan import draw_plan
 from soundspaces_pictures.plot_data import PlotData, on_storey
-from soundspaces_sim import ConfigError, Echogram, ambisonic_rir, binaural_rir, room_parameters
-from soundspaces_sim.parts import (
-    PARAMETERS,
-    FloorPlan,
-    LowResponse,
-    ParameterTable,
-    check_parameters,
-    require_within,
-)
+from soundspaces_sim import ConfigError, Echogram, ambisonic_rir, binaural_rir
+from soundspaces_sim.parts import FloorPlan, LowResponse, require_within
 
 matplotlib.use("Agg")  # pictures are files here
 

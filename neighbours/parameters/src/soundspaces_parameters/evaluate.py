@@ -25,23 +25,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.bands import (
+from soundspaces_parameters.registry import PARAMETERS, Parameter, find_parameter
+from soundspaces_parameters.response import Response, response_of
+from soundspaces_parameters.speech import OCTAVES, Speech
+from soundspaces_sim import ConfigError, Echogram, in_bands
+from soundspaces_sim.parts import (
+    BANDS_PER_OCTAVE as PER_OCTAVE,
+    BIN_S,
     HIGHEST_OCTAVE,
-    LOWEST,
-    PER_OCTAVE,
+    LARGEST_TIME_ERROR as LARGEST_ERROR,
+    LOW_MEASURES,
+    LOWEST_BAND as LOWEST,
+    MEASURES,
+    BandPieces as Pieces,
+    RoomMeasures,
+    band_pieces as pieces_of,
+    bands_below,
     check_edges,
     fractional_octaves,
+    low_measures,
     nominal,
+    without_air_in_bands as without_air,
 )
-from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, Parameter, find_parameter
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.in_bands import Pieces, in_bands, pieces_of, without_air
-from soundspaces_sim.echogram.low_measures import LOW_MEASURES, bands_below, low_measures
-from soundspaces_sim.echogram.measure_names import MEASURES
-from soundspaces_sim.echogram.measures import BIN_S, LARGEST_ERROR, RoomMeasures
-from soundspaces_sim.echogram.parameters.response import Response, response_of
-from soundspaces_sim.echogram.parameters.speech import OCTAVES, Speech
 
 _TIMES = ("t20", "t30", "edt")
 _WIDEST_CENTRE = 1.1  # ratio by which a midband frequency may lie outside the range that is averaged

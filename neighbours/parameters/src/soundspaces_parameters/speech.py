@@ -16,9 +16,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.echogram.measures import BIN_S
-from soundspaces_sim.echogram.parameters.response import Response
+from soundspaces_parameters.response import Response
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import BIN_S
 
 OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)  # Hz
 MODULATIONS = 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5  # Hz

@@ -10,9 +10,8 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, Literal, NamedTuple
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.keywords import did_you_mean
-from soundspaces_sim.core.registry import Entry, find
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import TableEntry as Entry, did_you_mean, find_entry as find
 
 Takes = Literal["response", "hrtf", "speech", "index"]
 
@@ -35,10 +34,10 @@ class Parameter(NamedTuple):
 
 
 _DECAY, _STRENGTH = (
-    "soundspaces_sim.echogram.parameters.decay:",
-    "soundspaces_sim.echogram.parameters.strength:",
+    "soundspaces_parameters.decay:",
+    "soundspaces_parameters.strength:",
 )
-_SPEECH, _EARS = "soundspaces_sim.echogram.parameters.speech:", "soundspaces_sim.rendering.interaural:"
+_SPEECH, _EARS = "soundspaces_parameters.speech:", "soundspaces_parameters.interaural:"
 
 PARAMETERS: Mapping[str, Parameter] = {
     "t20": Parameter(_DECAY + "t20", "s", "reverberation time from -5 to -25 dB"),

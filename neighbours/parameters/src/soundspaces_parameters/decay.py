@@ -5,13 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.echogram.measures import (
-    BIN_S,
-    RANGES,
-    decay_curve,
-    reverberation_times,
-)
-from soundspaces_sim.echogram.parameters.response import Response
+from soundspaces_parameters.response import Response
+from soundspaces_sim.parts import BIN_S, RANGES, decay_curve, reverberation_times
 
 _LIMITS = {name.lower(): (upper, lower) for name, upper, lower in RANGES}
 

@@ -10,21 +10,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soundspaces_sim.core.errors import PairIndexError
-from soundspaces_sim.core.numerics.bands import fractional_octaves
-from soundspaces_sim.dataset import sampling
-from soundspaces_sim.dataset.room_parameters.evaluate import Bands, Conditions, Pair, bands_of, spread
-from soundspaces_sim.dataset.room_parameters.office import OfficeParameters, office_parameters
-from soundspaces_sim.dataset.room_parameters.registry import check_parameters
-from soundspaces_sim.dataset.room_parameters.table import PairOf, ParameterTable, Progress, evaluate
-from soundspaces_sim.dataset.stored import StoredResponses
-from soundspaces_sim.echogram.echogram import Echogram, Echograms
-from soundspaces_sim.echogram.parameters.speech import (
+from soundspaces_parameters.evaluate import Bands, Conditions, Pair, bands_of, spread
+from soundspaces_parameters.office import OfficeParameters, office_parameters
+from soundspaces_parameters.registry import check_parameters
+from soundspaces_parameters.speech import (
     OCTAVES,
     OFFICE_SPEECH_DB,
     Speech,
     a_weighted_level,
     speech_transmission_index,
+)
+from soundspaces_parameters.table import PairOf, ParameterTable, Progress, evaluate
+from soundspaces_sim import Echogram, Echograms, PairIndexError
+from soundspaces_sim.parts import (
+    StoredResponses,
+    as_pairs,
+    as_point_rows,
+    check_pairs,
+    fractional_octaves,
 )
 
 if TYPE_CHECKING:
@@ -80,8 +83,8 @@ def dataset_parameters(
     """Of a dataset's (k, 2) pairs, by default all of two points; `directed` reads echograms with a directive
     source, whose stored errors do not hold; `waves` as in `room_parameters`; `progress` is told of pairs done."""
     count = len(stored.points)
-    rows = np.argwhere(~np.eye(count, dtype=bool)) if pairs is None else sampling.as_pairs(pairs)
-    sampling.check_pairs(rows, count, str(stored.path))
+    rows = np.argwhere(~np.eye(count, dtype=bool)) if pairs is None else as_pairs(pairs)
+    check_pairs(rows, count, str(stored.path))
     conditions = Conditions(speech or Speech(), hrtf)
     asked = bands_of(bands, stored.manifest.config.simulation.bands)
 
@@ -119,8 +122,8 @@ def dataset_office(
     stored: StoredResponses, source: int, listeners: ArrayLike, noise_db: Sequence[float] | None
 ) -> OfficeParameters:
     """ISO 3382-3 of a source and a line of listeners; see `RirDataset.office`."""
-    points = sampling.as_points(listeners, "listeners")
-    sampling.check_pairs(
+    points = as_point_rows(listeners, "listeners")
+    check_pairs(
         np.stack([np.full(len(points), source), points], axis=1), len(stored.points), str(stored.path)
     )
     edges, _ = fractional_octaves(1, OCTAVES[0], OCTAVES[-1])

@@ -21,10 +21,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.axes import DEGREE, head_matrix, rotation_matrix, spherical_harmonics
-from soundspaces_sim.echogram.measures import BIN_S
-from soundspaces_sim.echogram.parameters.response import EARLY_S, Response
-from soundspaces_sim.rendering.hrtf import load_hrtf
+from soundspaces_parameters.response import EARLY_S, Response
+from soundspaces_sim.parts import (
+    BIN_S,
+    HARMONIC_DEGREE as DEGREE,
+    head_matrix,
+    rotation_matrix,
+    spherical_harmonics,
+)
+from soundspaces_sim.rendering import load_hrtf
 
 _SAMPLES = 4096  # of a transform: 11 Hz
 _LONGEST_S, _DELAYS = 0.001, 81  # delays looked at

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim import ConfigError
 
 _RANGE_M = (2.0, 16.0)  # distances that take part
 _LEAST = 4  # positions

@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from soundspaces_parameters.registry import PARAMETERS, check_parameters
 from soundspaces_sim import ConfigError, RirDataset
 from soundspaces_sim.parts import (
-    PARAMETERS,
     ExportPlan,
     ExportProgress as Progress,
-    check_parameters,
     choose_pairs,
     make_folder,
     publish_file as publish,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import soundspaces_parameters
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
@@ -44,7 +45,9 @@ def test_stored_bands_give_the_table(ds: ss.RirDataset) -> None:
 def test_octaves_within_a_band_have_its_value(ds: ss.RirDataset) -> None:
     """This room absorbs alike in all bands: octaves differ by the air's absorption, and by what early arrivals add that come
     together, those there and back between two walls among them; so that little is uncertain about their course."""
-    found = ds.parameters(("c50", "g", "sti"), pairs=[(0, 3)], speech=ss.Speech(60.0, [40.0] * 7))
+    found = ds.parameters(
+        ("c50", "g", "sti"), pairs=[(0, 3)], speech=soundspaces_parameters.Speech(60.0, [40.0] * 7)
+    )
     assert found.bands.centre == (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
     stored = ds.parameters(("c50", "g"), "stored", [(0, 3)])
     for name in ("c50", "g"):
@@ -115,32 +118,15 @@ def test_directive_sources_have_half_samples_alone(ds: ss.RirDataset) -> None:
 def test_commands(ds: ss.RirDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     run = CliRunner()
-    done = run.invoke(
-        app,
-        [
-            "table",
-            str(ds.path),
-            "--octaves",
-            "--parameters",
-            "c80, sti",
-            "--source",
-            "0",
-            "--out",
-            "o.csv",
-        ],
-    )
+    of = ["parameters", str(ds.path), "--source", "0"]
+    done = run.invoke(app, [*of, "--names", "c80, sti", "--out", "o.csv"])
     assert done.exit_code == 0, done.output
     assert len(Path("o.csv").read_text().splitlines()) == 1 + 7 * 9
-    thirds = ["--thirds", "--parameters", "g", "--source", "0", "--out", "t.csv"]
-    done = run.invoke(app, ["table", str(ds.path), *thirds])
+    done = run.invoke(app, [*of, "--thirds", "--names", "g", "--out", "t.csv"])
     assert done.exit_code == 0 and "6300.0" in Path("t.csv").read_text(), done.output
     for wrong, what in (
-        (["table", str(ds.path), "--parameters", "g"], "belong to --octaves"),
-        (["table", str(ds.path), "--octaves", "--noise", "1,2,x", "--out", "w.csv"], "seven numbers"),
-        (
-            ["table", str(ds.path), "--octaves", "--parameters", "t31", "--out", "w.csv"],
-            "there is no 't31'",
-        ),
+        ([*of, "--noise", "1,2,x", "--out", "w.csv"], "seven numbers"),
+        ([*of, "--names", "t31", "--out", "w.csv"], "there is no 't31'"),
         (
             ["plot", str(ds.path), "--what", "map", "--parameter", "sti", "--out", "w.png"],
             "belong to --what parameter",

@@ -15,13 +15,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.core.io.files import publish
-from soundspaces_sim.core.processes import worker_pool
-from soundspaces_sim.dataset.format.table import Metadata, as_frame, write_table
-from soundspaces_sim.dataset.room_parameters.evaluate import Bands, Pair
-from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS, SUFFIXES
+from soundspaces_parameters.evaluate import Bands, Pair
+from soundspaces_parameters.registry import PARAMETERS, SUFFIXES
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import (
+    ColumnMetadata as Metadata,
+    as_data_frame as as_frame,
+    install_hint,
+    publish_file as publish,
+    worker_pool,
+    write_table,
+)
 
 if TYPE_CHECKING:
     import pandas

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from soundspaces_sim.echogram.measures import BIN_S, up_to
-from soundspaces_sim.echogram.parameters.response import Response
+from soundspaces_parameters.response import Response
+from soundspaces_sim.parts import BIN_S, energy_up_to as up_to
 
 _AT_10_M = 1.0 / (4.0 * np.pi * 100.0)
 _EARLY_BINS = round(0.08 / BIN_S) + 2  # the last holds what arrives later, and counts nowhere

@@ -7,18 +7,19 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import soundspaces_parameters
+from soundspaces_parameters import decay, speech, strength
+from soundspaces_parameters.evaluate import spread
+from soundspaces_parameters.interaural import EarSpectra, correlation, windows_of
+from soundspaces_parameters.office import office_parameters
+from soundspaces_parameters.registry import PARAMETERS
+from soundspaces_parameters.response import Response, response_of
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.axes import CHANNELS, spherical_harmonics
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, fractional_octaves, nominal
-from soundspaces_sim.dataset.room_parameters.evaluate import spread
-from soundspaces_sim.dataset.room_parameters.office import office_parameters
-from soundspaces_sim.dataset.room_parameters.registry import PARAMETERS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
 from soundspaces_sim.echogram.measures import BIN_S, energy_ratios
-from soundspaces_sim.echogram.parameters import decay, speech, strength
-from soundspaces_sim.echogram.parameters.response import Response, response_of
-from soundspaces_sim.rendering.interaural import EarSpectra, correlation, windows_of
 
 OCTAVES = tuple(fractional_octaves(1, 63.0, 8000.0)[0].tolist())
 FRONT, LEFT, UP = np.eye(3)
@@ -59,13 +60,13 @@ def response(found: ss.Echogram, towards: np.ndarray | None = FRONT, halves: boo
 
 def parameter(name: str, found: ss.Echogram, **settings: object) -> np.ndarray:
     """(K,) or (1,) values in octaves."""
-    return np.asarray(ss.room_parameters(found, name, **settings)[name][0])  # type: ignore[arg-type]
+    return np.asarray(soundspaces_parameters.room_parameters(found, name, **settings)[name][0])  # type: ignore[arg-type]
 
 
 def test_every_parameter_of_an_exponential_decay() -> None:
     """T = 1 s, one joule in all: every parameter in closed form, of ISO 3382-1's definitions."""
     reverb, k = 1.0, 6.0 * np.log(10.0)
-    found = ss.room_parameters(echogram(exponential(reverb)))
+    found = soundspaces_parameters.room_parameters(echogram(exponential(reverb)))
     early, of_joule = 1.0 - np.exp(-0.08 * k), 4.0 * np.pi * 100.0
     side = np.exp(-0.005 * k) - np.exp(-0.08 * k)
     expected = {
@@ -129,7 +130,7 @@ def test_a_free_field() -> None:
     """The direct sound alone: G = 0 dB at 10 m and 20 dB at 1 m, STI excellent, LF = 0."""
     for distance, expected in ((10.0, 0.0), (1.0, 20.0)):
         direct = (distance / 343.0, FRONT, 1.0 / (4.0 * np.pi * distance**2))
-        found = ss.room_parameters(echogram(np.zeros(2000), direct=direct))
+        found = soundspaces_parameters.room_parameters(echogram(np.zeros(2000), direct=direct))
         np.testing.assert_allclose(found["g"], expected, atol=1e-9)
         np.testing.assert_allclose(found["lf"], 0.0, atol=1e-12)
         assert np.isnan(found["g_late"]).all() and np.isnan(found["t30"]).all()
@@ -307,15 +308,15 @@ def test_nominal_frequencies() -> None:
 def test_what_is_asked_wrongly_is_told() -> None:
     found = echogram(exponential(1.0, 1.0), bands=DEFAULT_BANDS)
     with pytest.raises(ss.ConfigError, match=r"no 't31'; did you mean t3"):
-        ss.room_parameters(found, "t31")
+        soundspaces_parameters.room_parameters(found, "t31")
     with pytest.raises(ss.ConfigError, match="octaves, thirds, stored"):
-        ss.room_parameters(found, "t30", "octave")
+        soundspaces_parameters.room_parameters(found, "t30", "octave")
     with pytest.raises(ss.ConfigError, match="from 0 to 20000 Hz"):
-        ss.room_parameters(found, "t30", (100.0, 25000.0))
+        soundspaces_parameters.room_parameters(found, "t30", (100.0, 25000.0))
     for wrong in (np.nan, [1.0, 2.0], "loud"):
         with pytest.raises(ss.ConfigError, match="speech level: expected"):
-            ss.Speech(wrong)  # type: ignore[arg-type]
+            soundspaces_parameters.Speech(wrong)  # type: ignore[arg-type]
     with pytest.raises(ss.ConfigError, match="noise: expected"):
-        ss.Speech(60.0, [30.0] * 6)
-    silent = ss.room_parameters(echogram(np.zeros(100), direct=None))
+        soundspaces_parameters.Speech(60.0, [30.0] * 6)
+    silent = soundspaces_parameters.room_parameters(echogram(np.zeros(100), direct=None))
     assert all(np.isnan(silent[name]).all() for name in PARAMETERS if name not in ("sti", "mti"))

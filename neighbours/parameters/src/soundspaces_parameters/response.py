@@ -21,9 +21,14 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.linalg import hadamard
 
-from soundspaces_sim.core.numerics.axes import DEGREE, spherical_harmonics
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.measures import BIN_S, energy_ratios, first_loud
+from soundspaces_sim import Echogram
+from soundspaces_sim.parts import (
+    BIN_S,
+    HARMONIC_DEGREE as DEGREE,
+    energy_ratios,
+    first_loud,
+    spherical_harmonics,
+)
 
 EARLY_S = 0.08  # where the window of early energy ends
 _GROUPS = 8  # parts of a window
