@@ -53,7 +53,7 @@ from .core.io.hdf5 import (
 from .core.io.resources import resource as packaged_file
 from .core.io.sofa import data_delay, delayed
 from .core.io.sound import mono, read_sound
-from .core.io.untrusted import MOST_JSON, read_bytes, read_json, read_text
+from .core.io.untrusted import MOST_JSON, read_bytes, read_json, read_text, size_of as file_size
 from .core.keywords import check_keywords, did_you_mean, nearest as nearest_name
 from .core.limits import LEAST_DISTANCE, LONGEST as LONGEST_RESPONSE, require_within
 from .core.memory import check_memory, free_memory
@@ -99,7 +99,7 @@ from .core.numerics.vec3 import (
     row as vector_row,
     subtract as subtract_vectors,
 )
-from .core.platforms import exclusive as exclusive_file, rename_open
+from .core.platforms import exclusive as exclusive_file, limit_process, rename_open
 from .core.processes import end_with, isolated_children, worker_pool
 from .core.profile import adopt as adopt_profile, here as profile_here, stage as profile_stage
 from .core.registry import (
@@ -299,8 +299,21 @@ from .rendering.waves import (
     shared_energy,
     turned_lattice,
 )
+from .scene.adopt import concatenate_parts
 from .scene.enclosure import check_ends, check_inside, closedness
+from .scene.formats.gltf import (
+    PLACES as GLTF_PLACES,
+    Buffers as GltfBuffers,
+    Tree as GltfTree,
+    base_color as gltf_base_color,
+    open_gltf,
+    plain_gltf,
+    read_uri as gltf_uri,
+    view_of as gltf_view,
+)
 from .scene.formats.limits import (
+    MOST_BYTES as MOST_SCENE_BYTES,
+    check_dae,
     check_ply,
     open_mesh,
     parse_xml,
@@ -308,6 +321,8 @@ from .scene.formats.limits import (
     unpacked as unpacked_archive,
 )
 from .scene.formats.matterport import find_matterport
+from .scene.formats.mesh import in_our_words as mesh_in_our_words, open_with_trimesh, read_mesh
+from .scene.formats.obj import read_obj
 from .scene.formats.octave_material import (
     OCTAVES as MATERIAL_OCTAVES,
     SCATTERING as MATERIAL_SCATTERING,
@@ -315,13 +330,14 @@ from .scene.formats.octave_material import (
 )
 from .scene.formats.ply import Elements as PlyElements, Lists as PlyLists, read_labelled_ply
 from .scene.frame import UNITS as LENGTH_UNITS
-from .scene.labelled import LabelledMesh, SceneFormat
+from .scene.labelled import LabelledMesh, SceneFormat, label_rows
 from .scene.materials import FREE, limit as limit_transmission, load_materials, overlay as overlay_tables
 from .scene.porous_layers import mounted as mounted_layers
 from .scene.rays.directions import INV_4PI
 from .scene.rays.geometry import Geometry, cast_ray, unoccluded
 from .scene.section import section
 from .scene.storeys import floor_heights
+from .scene.triangles import areas as triangle_areas
 from .scene.walkable import (
     Columns as FloorColumns,
     find_floors,
@@ -360,6 +376,7 @@ __all__ = [
     "FILTER_FLOOR",
     "FORWARD",
     "FREE",
+    "GLTF_PLACES",
     "HABITAT_HEIGHT",
     "HARMONIC_DEGREE",
     "HEADINGS",
@@ -390,6 +407,7 @@ __all__ = [
     "MOST_GAIN",
     "MOST_JSON",
     "MOST_RATIO",
+    "MOST_SCENE_BYTES",
     "NEAR_M",
     "PLANE_WAVES",
     "POINTGOAL",
@@ -436,6 +454,8 @@ __all__ = [
     "FloorColumns",
     "FloorPlan",
     "Geometry",
+    "GltfBuffers",
+    "GltfTree",
     "Hrtf",
     "HrtfOption",
     "Interval",
@@ -502,6 +522,7 @@ __all__ = [
     "cache_root",
     "cast_ray",
     "center_frequencies",
+    "check_dae",
     "check_degrees",
     "check_edges",
     "check_ends",
@@ -529,6 +550,7 @@ __all__ = [
     "collected_dataset",
     "combine_keys",
     "compile_ahead",
+    "concatenate_parts",
     "config_differences",
     "continued_decay",
     "convert_ambisonics",
@@ -559,6 +581,7 @@ __all__ = [
     "env_options",
     "exclusive_file",
     "file_sha256",
+    "file_size",
     "files_beside",
     "find_entry",
     "find_floors",
@@ -571,6 +594,9 @@ __all__ = [
     "fractional_octaves",
     "free_memory",
     "gain_above",
+    "gltf_base_color",
+    "gltf_uri",
+    "gltf_view",
     "group_planes",
     "habitat_graph",
     "hand_clap",
@@ -591,9 +617,11 @@ __all__ = [
     "join_frames",
     "kernel",
     "kernel_part",
+    "label_rows",
     "lead_samples",
     "left_after",
     "levels_of",
+    "limit_process",
     "limit_transmission",
     "load_materials",
     "load_result",
@@ -608,6 +636,7 @@ __all__ = [
     "make_scratch",
     "measure_jacobian",
     "merge_results",
+    "mesh_in_our_words",
     "minimum_phase",
     "mirror_bounce",
     "model_between",
@@ -629,9 +658,11 @@ __all__ = [
     "of_neighbour",
     "of_simulation",
     "open_found",
+    "open_gltf",
     "open_hdf5",
     "open_mesh",
     "open_sounds",
+    "open_with_trimesh",
     "oracle_action",
     "output_file",
     "output_folder",
@@ -643,6 +674,7 @@ __all__ = [
     "parse_xml",
     "place_responses",
     "plain_dataset",
+    "plain_gltf",
     "ply_header",
     "point_distance",
     "point_keys",
@@ -660,7 +692,9 @@ __all__ = [
     "read_json",
     "read_labelled_ply",
     "read_manifest",
+    "read_mesh",
     "read_numbers",
+    "read_obj",
     "read_settings",
     "read_sound",
     "read_splits",
@@ -710,6 +744,7 @@ __all__ = [
     "takes_scene",
     "thread_count",
     "transform_size",
+    "triangle_areas",
     "turned_lattice",
     "undefined_times",
     "unique_rows",

@@ -60,7 +60,7 @@ def check_browser() -> None:
 
 
 GROUPS = {
-    "ifc": Group("ifc", ("tests/scene/test_frames_and_names.py",), "ifc"),
+    "ifc": Group("ifc", ("neighbours/scene_formats/tests/test_building_files.py",), "ifc"),
     "browser": Group(
         "browser",
         ("neighbours/explorer/tests/test_page.py", "neighbours/explorer/tests/test_firefox.py"),

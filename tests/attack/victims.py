@@ -31,21 +31,23 @@ from soundspaces_sim.scene.materials import load_materials
 from tests.attack.old_layout import old_layout
 from tests.rooms import box, table
 from tests.scene.test_formats import _QUADS, _house, _matterport, _ply, _replica
-from tests.scene.test_frames_and_names import _ifc
-from tests.scene.test_habitat_layouts import gibson, hm3d
 
 # The neighbours' readers are attacked with the core's, installed or not.
 sys.path.append(str(Path(__file__).parents[2] / "neighbours" / "room_programs" / "src"))
 sys.path.append(str(Path(__file__).parents[2] / "neighbours" / "exports" / "src"))
+sys.path.append(str(Path(__file__).parents[2] / "neighbours" / "scene_formats" / "src"))
 from soundspaces_exports.pickled import read_graph
 from soundspaces_exports.soundspaces1 import plan_soundspaces1 as plan_soundspaces1
 from soundspaces_room_programs.catt import read_catt
 from soundspaces_room_programs.gmsh import read_gmsh
 from soundspaces_room_programs.isimpa import read_project
 from soundspaces_room_programs.odeon import read_odeon
+from soundspaces_scene_formats import dae, gibson as gibson_format, hm3d as hm3d_format, ifc
 
 from neighbours.room_programs.tests.test_isimpa import project
 from neighbours.room_programs.tests.test_room_programs import catt, gmsh, odeon
+from neighbours.scene_formats.tests.test_building_files import _ifc
+from neighbours.scene_formats.tests.test_habitat_layouts import gibson, hm3d
 
 
 @dataclass(frozen=True)
@@ -247,9 +249,11 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
 
         out[name] = Victim(victim, read)
 
-    def room_program(name: str, victim: Path, reader: Callable[[str], LabelledMesh]) -> None:
+    def of_neighbour(
+        name: str, victim: Path, reader: Callable[[str], LabelledMesh], source: Path | None = None
+    ) -> None:
         def read() -> bytes:
-            found = reader(str(victim))
+            found = reader(str(source or victim))
             assert np.isfinite(found.vertices).all()
             return _arrays(found.vertices, found.faces, found.face_label)
 
@@ -263,9 +267,9 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
     scene("mp3d-ply", house / "s_semantic.ply", house)
     painted, glb = hm3d(folder / "hm3d"), gibson(folder / "gibson")
     for name in ("Room.semantic.glb", "Room.semantic.txt"):
-        scene(f"hm3d-{name[-3:]}", painted / name, painted)
+        of_neighbour(f"hm3d-{name[-3:]}", painted / name, hm3d_format.FORMAT.read, painted)
     for name in ("Room.scn", "Room_semantic.ply"):
-        scene(f"gibson-{name[-3:]}", glb.with_name(name), glb)
+        of_neighbour(f"gibson-{name[-3:]}", glb.with_name(name), gibson_format.FORMAT.read, glb)
     room = box((6.0, 4.0, 2.5), table(0.1, 0.1))
     mesh = trimesh.Trimesh(room.vertices, room.faces, process=False)
     for kind in ("obj", "glb", "stl", "stl_ascii", "off", "ply", "dae", "gltf"):
@@ -274,7 +278,10 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
             _gltf(path, np.asarray(room.vertices, "<f4"), np.asarray(room.faces, "<u4"))
         else:
             mesh.export(path, file_type=kind)
-        scene(kind, path, path)
+        if kind == "dae":
+            of_neighbour(kind, path, dae.read_dae)
+        else:
+            scene(kind, path, path)
     ascii_ply = folder / "room-ascii.ply"
     mesh.export(ascii_ply, encoding="ascii")
     scene("ply-ascii", ascii_ply, ascii_ply)
@@ -286,13 +293,13 @@ def _of_scenes(folder: Path, out: dict[str, Victim]) -> None:
         [f"v {x} {y} {z}\n" for x, y, z in room.vertices] + [f"usemtl m{i}\nf {a + 1} {b + 1} {c + 1}\n" for i, (a, b, c) in enumerate(room.faces)]
     ))  # fmt: skip
     scene("obj-named", named, named)
-    room_program("catt", catt(folder / "catt.geo"), read_catt)
-    room_program("odeon", odeon(folder / "odeon.par"), read_odeon)
-    room_program("gmsh", gmsh(folder / "gmsh.geo"), read_gmsh)
-    room_program("isimpa-project", project(folder / "room.proj"), read_project)
+    of_neighbour("catt", catt(folder / "catt.geo"), read_catt)
+    of_neighbour("odeon", odeon(folder / "odeon.par"), read_odeon)
+    of_neighbour("gmsh", gmsh(folder / "gmsh.geo"), read_gmsh)
+    of_neighbour("isimpa-project", project(folder / "room.proj"), read_project)
     if find_spec("ifcopenshell") is not None:
         model = _ifc(folder / "house.ifc")
-        scene("ifc", model, model)
+        of_neighbour("ifc", model, ifc.read_ifc)
 
 
 def _gltf(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:

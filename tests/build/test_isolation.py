@@ -37,15 +37,6 @@ from soundspaces_sim.core.processes import worker_pool
 with worker_pool(2) as pool:
     assert list(pool.map(len, ["a", "bb", "ccc"])) == [1, 2, 3]
 """,
-    "IFC": """
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.formats.ifc import read_ifc
-Path("a.ifc").write_text("ISO-10303-21;")
-try:
-    read_ifc("a.ifc")
-except SceneError as error:
-    assert "this ifcopenshell" in str(error), error
-""",
 }
 
 

@@ -15,7 +15,7 @@ from soundspaces_buildings.solids import Solid, inset, moved, triangles
 from soundspaces_buildings.walkway import inside as inside_polygon
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.formats import buildings
+from soundspaces_sim.scene.formats import elsewhere
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.labels import find_material, load_labels
 from soundspaces_sim.scene.materials import stack_materials
@@ -51,9 +51,9 @@ def test_a_number_is_a_building(kind: str) -> None:
 
 
 def test_the_core_names_all_types(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert set(buildings.TYPES) == set(BUILDINGS)
-    absent = buildings._READER._replace(target="not_installed_here:read")
-    monkeypatch.setattr(buildings, "_READER", absent)
+    assert set(elsewhere.BUILDINGS) == set(BUILDINGS)
+    absent = elsewhere._BUILDING._replace(target="not_installed_here:read")
+    monkeypatch.setattr(elsewhere, "_BUILDING", absent)
     with pytest.raises(ss.SceneError, match=r"home-7: .*pip install \./neighbours/buildings"):
         ss.load_scene("home-7")
 

@@ -10,18 +10,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 
-from soundspaces_sim.scene.formats import (
-    buildings,
-    dae,
-    gibson,
-    hm3d,
-    ifc,
-    matterport,
-    mesh,
-    obj,
-    replica,
-    room_programs,
-)
+from soundspaces_sim.scene.formats import elsewhere, matterport, mesh, obj, replica
 from soundspaces_sim.scene.generate import demo
 from soundspaces_sim.scene.labelled import SceneFormat
 
@@ -29,14 +18,9 @@ GROUP = "soundspaces_sim.scene_formats"  # of entry points; each is a `SceneForm
 #: By name, in the order in which they are tried.
 FORMATS: Mapping[str, SceneFormat] = {
     "demo": demo.FORMAT,
-    "building": buildings.FORMAT,
     "replica": replica.FORMAT,
     "matterport": matterport.FORMAT,
-    "hm3d": hm3d.FORMAT,
-    "gibson": gibson.FORMAT,
-    "ifc": ifc.FORMAT,
-    "dae": dae.FORMAT,
-    "room-programs": room_programs.FORMAT,
+    "elsewhere": elsewhere.FORMAT,
     "obj": obj.FORMAT,
     "mesh": mesh.FORMAT,
 }

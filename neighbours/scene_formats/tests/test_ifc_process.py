@@ -6,9 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from soundspaces_scene_formats import ifc
 
 from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.scene.formats import ifc
+from tests.build.test_isolation import check_isolated
 
 
 @pytest.mark.parametrize(
@@ -26,3 +27,16 @@ def test_it_ends(
     monkeypatch.setattr(ifc, "_SECONDS", seconds)
     with pytest.raises(SceneError, match=rf"a\.ifc: cannot be read as an IFC model.*({message})"):
         ifc.read_ifc(str(tmp_path / "a.ifc"))
+
+
+def test_a_stranger_s_module_is_not_run(tmp_path: Path) -> None:
+    code = """
+from soundspaces_sim.core.errors import SceneError
+from soundspaces_scene_formats.ifc import read_ifc
+Path("a.ifc").write_text("ISO-10303-21;")
+try:
+    read_ifc("a.ifc")
+except SceneError as error:
+    assert "this ifcopenshell" in str(error), error
+"""
+    check_isolated(code, tmp_path, Path(ifc.__file__).parents[1])

@@ -14,12 +14,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.core.io.untrusted import read_json
-from soundspaces_sim.scene.formats.mesh import read_mesh
-from soundspaces_sim.scene.formats.obj import read_obj
-from soundspaces_sim.scene.formats.ply import read_labelled_ply
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat, label_rows
+from soundspaces_sim import SceneError
+from soundspaces_sim.parts import (
+    LabelledMesh,
+    SceneFormat,
+    label_rows,
+    read_json,
+    read_labelled_ply,
+    read_mesh,
+    read_obj,
+)
 
 _RAW = "mesh_z_up.obj"
 _MESH, _PLY, _SCN, _NAVMESH = ".glb", "_semantic.ply", ".scn", ".navmesh"

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from soundspaces_scene_formats import hm3d as hm3d_format
+from soundspaces_scene_formats.hm3d import _middles, _nearest
 
 import soundspaces_sim as ss
-from soundspaces_sim.scene.formats import hm3d as hm3d_format
-from soundspaces_sim.scene.formats.hm3d import _middles, _nearest
 from soundspaces_sim.scene.load import find_scenes
 from tests.scene.test_formats import _QUADS, _V, ROOM, _names, _ply
 

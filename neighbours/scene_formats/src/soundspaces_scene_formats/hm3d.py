@@ -19,23 +19,28 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.core.io.untrusted import read_text
-from soundspaces_sim.scene.formats.gltf import (
-    PLACES,
-    Buffers,
-    Tree,
-    base_color,
+from soundspaces_sim import SceneError
+from soundspaces_sim.parts import (
+    GLTF_PLACES as PLACES,
+    MOST_SCENE_BYTES as MOST_BYTES,
+    GltfBuffers as Buffers,
+    GltfTree as Tree,
+    LabelledMesh,
+    SceneFormat,
+    gltf_base_color as base_color,
+    gltf_uri as read_uri,
+    gltf_view as view_of,
+    install_hint,
+    label_rows,
+    mesh_in_our_words as in_our_words,
     open_gltf,
+    open_mesh,
+    open_with_trimesh,
     plain_gltf,
-    read_uri,
-    view_of,
+    read_mesh,
+    read_text,
+    triangle_areas as areas,
 )
-from soundspaces_sim.scene.formats.limits import MOST_BYTES, open_mesh
-from soundspaces_sim.scene.formats.mesh import in_our_words, open_with_trimesh, read_mesh
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat, label_rows
-from soundspaces_sim.scene.triangles import areas
 
 MOST_PIXELS = 2**26  # of one picture, which is held while it is read
 MOST_IN_ALL = 2**28  # of all pictures, or so many for each byte of the file if that is more:

@@ -19,13 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.core.io.untrusted import size_of
-from soundspaces_sim.core.platforms import limit_process
-from soundspaces_sim.scene.adopt import concatenate_parts
-from soundspaces_sim.scene.formats.limits import open_mesh
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim import SceneError
+from soundspaces_sim.parts import (
+    LabelledMesh,
+    SceneFormat,
+    concatenate_parts,
+    file_size as size_of,
+    install_hint,
+    limit_process,
+    open_mesh,
+)
 
 _ARRAYS, _TEXTS = "mesh.npz", "texts.json"
 # What the process may take, and more for each byte of the file.

@@ -13,11 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from soundspaces_sim.core.errors import SceneError
-from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.scene.adopt import concatenate_parts
-from soundspaces_sim.scene.formats.limits import check_dae, open_mesh
-from soundspaces_sim.scene.labelled import LabelledMesh, SceneFormat
+from soundspaces_sim import SceneError
+from soundspaces_sim.parts import (
+    LabelledMesh,
+    SceneFormat,
+    check_dae,
+    concatenate_parts,
+    install_hint,
+    open_mesh,
+)
 
 
 def read_dae(source: str) -> LabelledMesh:
