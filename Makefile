@@ -45,7 +45,7 @@ $(VENV)/.made: pyproject.toml
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.made
-	$(INSTALL) -e ".[figures]" -e ./neighbours/parameters -e ./neighbours/pictures
+	$(INSTALL) -e ".[figures]" -e ./neighbours/parameters -e ./neighbours/renderers -e ./neighbours/pictures
 	@touch $@
 
 $(VENV)/.tested: $(VENV)/.installed
@@ -66,11 +66,11 @@ $(VENV)/.documented: $(VENV)/.installed
 
 # All at once and without what draws figures: who comes to listen waits for no more than that.
 $(VENV)/.explores: $(VENV)/.made
-	$(INSTALL) -e . -e ./neighbours/parameters -e ./neighbours/explorer
+	$(INSTALL) -e . -e ./neighbours/parameters -e ./neighbours/renderers -e ./neighbours/explorer
 	@touch $@
 
 $(VENV)/.collects: $(VENV)/.installed
-	$(INSTALL) --no-deps -e ./neighbours/buildings -e ./neighbours/collections
+	$(INSTALL) --no-deps -e ./neighbours/buildings -e ./neighbours/exports -e ./neighbours/rooms -e ./neighbours/collections
 	@touch $@
 
 $(VENV)/.engine-local: $(VENV)/.installed

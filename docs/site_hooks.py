@@ -100,7 +100,14 @@ def _alone(source: str, node: ast.FunctionDef) -> str:
     drawn = last.removeprefix("return ")
     end = [] if drawn == "figure" else [f"figure = {drawn}"]
     save = f'soundspaces_pictures.save_printed(figure, "{node.name}.pdf")'
-    need = "" if any("ss" in _bound(n) for n in imports) else "import soundspaces_sim as ss\n"
+    need = "".join(
+        line + "\n"
+        for name, line in {
+            "soundspaces_pictures": "import soundspaces_pictures",
+            "ss": "import soundspaces_sim as ss",
+        }.items()
+        if not any(name in _bound(n) for n in imports)
+    )
     return need + "\n\n".join([*blocks, "\n".join([*body_lines, *end, save])])
 
 

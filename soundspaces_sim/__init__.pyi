@@ -2,7 +2,6 @@
 
 from .build.build import build_dataset, build_datasets
 from .build.inspect import SceneReport, inspect_scene
-from .build.rooms import simulate_many
 from .core.config import GraphConfig, GridConfig, JobConfig, load_config
 from .core.errors import (
     ConfigError,
@@ -25,15 +24,12 @@ from .core.simulation_config import (
     SpecularConfig,
 )
 from .core.version import __version__
-from .dataset.citation import citation
 from .dataset.collection import RirCollection, open_datasets
 from .dataset.format.verify import verify_dataset
-from .dataset.random_materials import RandomMaterials
 from .dataset.reader import RirDataset, open_dataset, read_room
 from .echogram.directed import directed
 from .echogram.echogram import Arrival, Arrivals, Echogram, Echograms
 from .echogram.endpoints import Directivity, Listener, Source
-from .echogram.in_bands import in_bands
 from .echogram.refurnish import refurnished
 from .layout.grid import make_grid
 from .layout.navigation_graph import make_graph
@@ -85,7 +81,6 @@ __all__ = [
     "PairIndexError",
     "PointError",
     "RadianceTransferConfig",
-    "RandomMaterials",
     "RirCollection",
     "RirDataset",
     "Scene",
@@ -109,9 +104,7 @@ __all__ = [
     "binaural_rirs",
     "build_dataset",
     "build_datasets",
-    "citation",
     "directed",
-    "in_bands",
     "inspect_scene",
     "load_config",
     "load_scene",
@@ -124,7 +117,6 @@ __all__ = [
     "refurnished",
     "shoebox",
     "simulate",
-    "simulate_many",
     "spectrogram",
     "verify_dataset",
 ]

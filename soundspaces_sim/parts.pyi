@@ -1,5 +1,6 @@
 """The parts and where they live: read by type checkers, and by `parts.py` when it is imported."""
 
+from .build.cores import use_cores
 from .build.engines import (
     ENGINES,
     Engine,
@@ -10,37 +11,32 @@ from .build.engines import (
 )
 from .build.engines.capacity import choose_shape
 from .build.forecast import forecast
-from .build.rooms import ROOM_CONFIG, in_processes, room_named
 from .build.warm_up import WarmUp, start as compile_ahead
 from .build.worker import Done as TaskDone, work as work_tile
 from .cli.console import DAMAGED, INTERRUPTED, Meter, run_app, size_text
 from .cli.datasets import print_doubts
 from .cli.options import (
     HrtfOption,
-    NoiseOption,
     ProfileOption,
     Read,
     RendererOption,
     ReplaceOption,
-    SpeechOption,
     check_file as check_file_option,
     check_folder,
     check_renderer_option,
-    need_matplotlib,
     open_found,
     output_file,
     output_folder,
     read_settings,
     reported,
     shares,
-    speech_of,
     takes_scene,
 )
 from .core.config import DatasetConfig, check_rate, differences as config_differences
 from .core.errors import EpisodeError
 from .core.extras import install_hint, need as need_extras
 from .core.interrupts import check as check_interrupts
-from .core.io.files import cache_root, file_sha256, make_folder, publish as publish_file
+from .core.io.files import cache_root, check_target, file_sha256, make_folder, publish as publish_file
 from .core.io.hdf5 import (
     attribute,
     create_hdf5,
@@ -77,6 +73,7 @@ from .core.numerics.bands import (
     center_frequencies,
     check_edges,
     fractional_octaves,
+    log_edges,
     nominal,
 )
 from .core.numerics.kernel import (
@@ -100,7 +97,7 @@ from .core.numerics.vec3 import (
     subtract as subtract_vectors,
 )
 from .core.platforms import exclusive as exclusive_file, limit_process, rename_open
-from .core.processes import end_with, isolated_children, worker_pool
+from .core.processes import end_with, isolated_children, start_worker, worker_pool
 from .core.profile import adopt as adopt_profile, here as profile_here, stage as profile_stage
 from .core.registry import (
     Entry as TableEntry,
@@ -120,7 +117,7 @@ from .dataset.exporters.plan import (
 )
 from .dataset.exporters.points import HABITAT_HEIGHT, habitat_graph, points_text
 from .dataset.exporters.wav import HEADER as WAV_HEADER, wav_bytes
-from .dataset.format.card import MAKER
+from .dataset.format.card import CARDS, MAKER
 from .dataset.format.collection_manifest import (
     CollectionManifest,
     Failure as CollectionFailure,
@@ -142,7 +139,7 @@ from .dataset.format.shard import FAILED as FAILED_PAIR, Shard, is_valid as is_v
 from .dataset.format.splits import SPLITS, read_splits, write_splits
 from .dataset.format.table import Metadata as ColumnMetadata, as_frame as as_data_frame, write_table
 from .dataset.format.writing import encode_echograms
-from .dataset.labels import source_direction
+from .dataset.labels import pair_labels, source_direction
 from .dataset.sampling import (
     as_pairs,
     as_points as as_point_rows,
@@ -153,7 +150,12 @@ from .dataset.sampling import (
 from .dataset.stored import StoredResponses
 from .dataset.undefined import undefined_times
 from .echogram.closure import MOST_GAIN
-from .echogram.directed import directed_table
+from .echogram.directed import (
+    aim as aim_directivity,
+    departures as departure_directions,
+    directed_table,
+    gains as directivity_gains,
+)
 from .echogram.displaced import displaced
 from .echogram.echogram import (
     EDGE as KIND_EDGE,
@@ -164,6 +166,7 @@ from .echogram.echogram import (
     direct_arrival,
     without_arrivals,
 )
+from .echogram.endpoints import Points as PointsLike
 from .echogram.filters import (
     FLOOR as FILTER_FLOOR,
     air_left,
@@ -176,19 +179,6 @@ from .echogram.filters import (
     minimum_phase,
     sinc_table,
     white_noise,
-)
-from .echogram.in_bands import (
-    Pieces as BandPieces,
-    pieces_of as band_pieces,
-    without_air as without_air_in_bands,
-)
-from .echogram.low_measures import (
-    LOW_MEASURES,
-    bands_below,
-    has_octave,
-    low_levels,
-    low_measures,
-    octaves_below,
 )
 from .echogram.low_response import (
     CHANNELS as LOW_CHANNELS,
@@ -266,28 +256,32 @@ from .nav.views import (
     normalise as normalise_depth,
     shrink as shrink_views,
 )
-from .rendering.air import hop_and_ring, hop_filters
-from .rendering.ambisonics import band_plans, pair_seed, response_length, transform_size
-from .rendering.auralise import convolve as convolve_sound
+from .rendering.air import (
+    hop_and_ring,
+    hop_filters,
+    through_air as response_through_air,
+    without_air as response_without_air,
+)
+from .rendering.ambisonics import band_plans, pair_seed, response_length, transform_size, with_arrivals
+from .rendering.auralise import as_mono, convolve as convolve_sound
 from .rendering.binaural import decoder_transform
 from .rendering.decoder import Equalisation, Method, decoder_filters, direction_filters
-from .rendering.dry import hand_clap, music, syllables
+from .rendering.directivity import as_directivity
 from .rendering.ears import NEAR_M, as_ears, near_field_gains
 from .rendering.harmonics import harmonics_n3d, harmonics_sn3d, n3d_gains
 from .rendering.higher_orders import WAVES as HIGH_ORDER_WAVES, check_order
 from .rendering.hrtf import Hrtf
-from .rendering.low_band import at_microphones as waves_at_microphones, below as waves_below, gain_above
-from .rendering.seed_paper import band_noise
-from .rendering.smooth import (
-    LANES as SMOOTH_LANES,
-    continued as continued_decay,
-    energies as smooth_energies,
-    step_plans,
+from .rendering.low_band import (
+    above as above_edge,
+    at_microphones as waves_at_microphones,
+    below as waves_below,
+    gain_above,
 )
+from .rendering.rendering import Rendering
+from .rendering.seed_paper import band_noise
 from .rendering.soundfield import Convention, convert as convert_ambisonics
 from .rendering.synthesis import (
     cut_frames,
-    join_frames,
     make_scratch,
     modulate as modulate_noise,
     place as place_responses,
@@ -364,6 +358,7 @@ __all__ = [
     "BASELINES",
     "BIN_S",
     "CAMERA_HEIGHT",
+    "CARDS",
     "DAMAGED",
     "DEFAULT_BANDS",
     "DEFAULT_SOUND",
@@ -396,7 +391,6 @@ __all__ = [
     "LONGEST_RESPONSE",
     "LOWEST_BAND",
     "LOW_CHANNELS",
-    "LOW_MEASURES",
     "MAKER",
     "MANIFEST_NAME",
     "MATERIAL_OCTAVES",
@@ -419,10 +413,8 @@ __all__ = [
     "RANGES",
     "RIGHT",
     "RMS_AT_1_M",
-    "ROOM_CONFIG",
     "SECOND_ORDER_CHANNELS",
     "SLACK_REWARD",
-    "SMOOTH_LANES",
     "SPLITS",
     "STOP",
     "SUCCESS_REWARD",
@@ -431,7 +423,6 @@ __all__ = [
     "WAV_HEADER",
     "Agent",
     "Air",
-    "BandPieces",
     "BlockCache",
     "CollectionFailure",
     "CollectionManifest",
@@ -468,14 +459,15 @@ __all__ = [
     "Meter",
     "Method",
     "Model",
-    "NoiseOption",
     "Observation",
     "PlyElements",
     "PlyLists",
+    "PointsLike",
     "PreparedScene",
     "ProfileOption",
     "Read",
     "RendererOption",
+    "Rendering",
     "ReplaceOption",
     "RoomMeasures",
     "SceneFormat",
@@ -484,7 +476,6 @@ __all__ = [
     "ShardEntry",
     "SimulatedPaths",
     "SpecularPlanes",
-    "SpeechOption",
     "StoredResponses",
     "TableEntry",
     "TaskDone",
@@ -495,14 +486,18 @@ __all__ = [
     "WarmUp",
     "WaveField",
     "Wedges",
+    "above_edge",
     "absorption_shares",
     "adopt_profile",
+    "aim_directivity",
     "air_left",
     "air_spectrum",
     "air_transmission",
     "arrival_filters",
     "as_data_frame",
+    "as_directivity",
     "as_ears",
+    "as_mono",
     "as_pairs",
     "as_point_rows",
     "as_points",
@@ -512,11 +507,9 @@ __all__ = [
     "band_energies",
     "band_means",
     "band_noise",
-    "band_pieces",
     "band_plans",
     "band_shares",
     "band_windows",
-    "bands_below",
     "beside_edge",
     "between_windows",
     "cache_root",
@@ -542,6 +535,7 @@ __all__ = [
     "check_rates",
     "check_renderer_option",
     "check_scene",
+    "check_target",
     "choose_pairs",
     "choose_shape",
     "closedness",
@@ -552,7 +546,6 @@ __all__ = [
     "compile_ahead",
     "concatenate_parts",
     "config_differences",
-    "continued_decay",
     "convert_ambisonics",
     "convolve_sound",
     "core_count",
@@ -563,11 +556,13 @@ __all__ = [
     "decoder_filters",
     "decoder_transform",
     "delayed",
+    "departure_directions",
     "did_you_mean",
     "direct_arrival",
     "directed_table",
     "direction_filters",
     "direction_grid",
+    "directivity_gains",
     "displaced",
     "dot_product",
     "drawn_size",
@@ -599,22 +594,18 @@ __all__ = [
     "gltf_view",
     "group_planes",
     "habitat_graph",
-    "hand_clap",
     "harmonics_n3d",
     "harmonics_sn3d",
-    "has_octave",
     "head_matrix",
     "heading_index",
     "hop_and_ring",
     "hop_filters",
     "image_of",
     "in_our_words",
-    "in_processes",
     "install_hint",
     "installed_low_method",
     "is_valid_shard",
     "isolated_children",
-    "join_frames",
     "kernel",
     "kernel_part",
     "label_rows",
@@ -625,12 +616,11 @@ __all__ = [
     "limit_transmission",
     "load_materials",
     "load_result",
+    "log_edges",
     "log_steps",
     "logit_reproducibility",
     "logits",
     "low_band_gain",
-    "low_levels",
-    "low_measures",
     "make_floorplan",
     "make_folder",
     "make_scratch",
@@ -643,18 +633,15 @@ __all__ = [
     "modulate_noise",
     "mono",
     "mounted_layers",
-    "music",
     "n3d_gains",
     "near_field_gains",
     "nearest_name",
     "need_extras",
-    "need_matplotlib",
     "neighbouring_cells",
     "nominal",
     "normalise_depth",
     "number_text",
     "octave_material",
-    "octaves_below",
     "of_neighbour",
     "of_simulation",
     "open_found",
@@ -669,6 +656,7 @@ __all__ = [
     "over_rows",
     "overlay_tables",
     "packaged_file",
+    "pair_labels",
     "pair_seed",
     "pairs_of_two",
     "parse_xml",
@@ -709,8 +697,9 @@ __all__ = [
     "response_rate",
     "response_samples",
     "response_samples_of",
+    "response_through_air",
+    "response_without_air",
     "reverberation_times",
-    "room_named",
     "rotation_matrices",
     "rotation_matrix",
     "run_app",
@@ -728,18 +717,15 @@ __all__ = [
     "simulate_tile",
     "sinc_table",
     "size_text",
-    "smooth_energies",
     "sound_intensity",
     "source_direction",
-    "speech_of",
     "spherical_harmonics",
     "split_file",
+    "start_worker",
     "state_info",
-    "step_plans",
     "storeys_of",
     "subtract_vectors",
     "surface_impedance",
-    "syllables",
     "synthesise",
     "takes_scene",
     "thread_count",
@@ -751,6 +737,7 @@ __all__ = [
     "unoccluded",
     "unpacked_archive",
     "unpacked_episodes",
+    "use_cores",
     "variety",
     "vector_length",
     "vector_row",
@@ -762,8 +749,8 @@ __all__ = [
     "waves_below",
     "white_noise",
     "window_strength",
+    "with_arrivals",
     "with_notes",
-    "without_air_in_bands",
     "without_arrivals",
     "work_tile",
     "worker_pool",

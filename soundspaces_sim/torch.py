@@ -1,5 +1,4 @@
-"""For PyTorch (extra ``torch``): datasets for loaders; and by neighbours/torch responses on a device, and
-reverberation as a module.
+"""For PyTorch, by neighbours/torch: datasets for loaders, responses on a device, reverberation as a module.
 
     import soundspaces_sim as ss
     import soundspaces_sim.torch
@@ -12,20 +11,17 @@ Names are loaded when they are first used.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from soundspaces_sim.core.registry import Entry, find
 
-if TYPE_CHECKING:
-    from soundspaces_sim.dataset.torch_dataset import TorchRirDataset as TorchRirDataset
-
 _WHERE: Mapping[str, Entry] = {
-    "Renderer": Entry("soundspaces_torch.renderer:Renderer", "responses on a device", "torch"),
+    "Renderer": Entry("soundspaces_torch.renderer:Renderer", "responses on a device", "renderers torch"),
     "Reverberate": Entry(
-        "soundspaces_torch.reverberate:Reverberate", "reverberation as a module", "torch"
+        "soundspaces_torch.reverberate:Reverberate", "reverberation as a module", "renderers torch"
     ),
     "TorchRirDataset": Entry(
-        "soundspaces_sim.dataset.torch_dataset:TorchRirDataset", "a dataset for loaders"
+        "soundspaces_torch.dataset:TorchRirDataset", "a dataset for loaders", "renderers torch"
     ),
 }
 __all__ = list(_WHERE)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,10 +13,12 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.kernel import core_count, set_thread_count
+from soundspaces_sim.scene import formats
 from tests import WORKERS
 from tests.rooms import table, two_rooms
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -46,6 +51,28 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"{SHARED} is absent (scenes and measurements that are not part of the project)")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def neighbours_installed(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Tests, and programs that they start, find the neighbours and their entry points, installed or not."""
+    installed = tmp_path_factory.mktemp("installed")
+    for file in sorted(ROOT.glob("neighbours/*/pyproject.toml")):
+        project = tomllib.loads(file.read_text("utf-8"))["project"]
+        name = project["name"].replace("-", "_")  # a hyphen ends a name
+        info = installed / f"{name}-{project['version']}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Name: {project['name']}\nVersion: {project['version']}\n")
+        lines = [
+            f"[{group}]\n" + "".join(f"{name} = {target}\n" for name, target in entries.items())
+            for group, entries in project.get("entry-points", {}).items()
+        ]
+        (info / "entry_points.txt").write_text("".join(lines))
+    sys.path.insert(0, str(installed))
+    formats.neighbours.cache_clear()
+    found = [ROOT, installed, *sorted(ROOT.glob("neighbours/*/src"))]
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join([*map(str, found), *([before] if before else [])])
 
 
 def small_job(**dataset: object) -> ss.JobConfig:

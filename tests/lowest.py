@@ -25,7 +25,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[1]
-_NEIGHBOURS = ("buildings", "exports", "rooms")
+_NEIGHBOURS = ("buildings", "exports", "rooms", "parameters", "renderers", "pictures")
 _NAME = "soundspaces-sim"
 _VERSIONS = """
 import json, sys
@@ -52,11 +52,11 @@ _BUILD = (
     "soundspaces_sim.cli rirs demo --spacing 4 --walks 16 --store both --out set",
     "soundspaces_rooms --count 2 --format hdf5 --walks 16 --out rooms",
     "soundspaces_sim.cli table set/demo --out pairs.parquet",
-    "soundspaces_sim.cli parameters set/demo --out octaves.xlsx",
+    "soundspaces_parameters set/demo --out octaves.xlsx",
     "soundspaces_sim.cli export wav set/demo --out wav",
     "soundspaces_sim.cli export sofa set/demo --out sofa",
-    "soundspaces_sim.cli plot set/demo --out map.png",
-    "soundspaces_sim.cli report set/demo",
+    "soundspaces_pictures plot set/demo --out map.png",
+    "soundspaces_pictures report set/demo",
 )
 
 

@@ -13,7 +13,7 @@ _KINDS = (".py", ".md", ".ipynb", ".toml", ".yml")
 
 
 def _texts() -> dict[str, str]:
-    folders = ("soundspaces_sim", "docs", "benchmarks", "pipelines")
+    folders = ("soundspaces_sim", "neighbours", "docs", "benchmarks", "pipelines")
     files = [f for folder in folders for f in (_ROOT / folder).rglob("*") if f.suffix in _KINDS]
     return {
         str(f.relative_to(_ROOT)): f.read_text("utf-8")

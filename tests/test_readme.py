@@ -274,7 +274,7 @@ def test_python_of_a_row_runs(cell: str, walls: Path, monkeypatch: pytest.Monkey
     names: dict[str, object] = {"ss": ss, "np": np, "s": 0, "l": 1}
     if cell.startswith("Torch"):
         pytest.importorskip("torch", reason="the extra `torch` is not installed")
-        from soundspaces_sim.dataset.torch_dataset import TorchRirDataset
+        from soundspaces_torch.dataset import TorchRirDataset
 
         names["TorchRirDataset"] = TorchRirDataset
     if cell.startswith("gymnasium"):
@@ -335,6 +335,7 @@ def test_every_shell_line_is_run_or_left_for_a_reason() -> None:
     assert [beginning for beginning in _LEFT if not any(x.startswith(beginning) for x in _SHELL)] == []
 
 
+@pytest.mark.usefixtures("neighbours_installed")
 @pytest.mark.parametrize("line", _RUN)
 def test_a_shell_line_runs(line: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(demo)

@@ -19,7 +19,9 @@ import pytest
 import typer
 import yaml
 
+from soundspaces_sim.cli import neighbours
 from soundspaces_sim.cli.app import app
+from soundspaces_sim.core.registry import installed_by_name
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -47,6 +49,7 @@ def _commands(page: Path) -> list[list[str]]:
     return [words[1:] for words in named if words[:1] == ["soundspaces-sim"]]
 
 
+@pytest.mark.usefixtures("neighbours_installed")
 @pytest.mark.parametrize(
     "page", [p for p in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))) if _commands(p)], ids=lambda p: p.stem
 )  # fmt: skip
@@ -57,7 +60,10 @@ def test_options_of_commands_in_pages_are_there(page: Path) -> None:
         for word in words:
             if not word.startswith("-") and hasattr(command, "commands"):
                 assert word in command.commands, words
-                command = command.commands[word]
+                neighbour = installed_by_name(neighbours.GROUP, word)
+                command = (
+                    command.commands[word] if neighbour is None else typer.main.get_command(neighbour)
+                )
                 known |= {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
         assert not hasattr(command, "commands") or "--version" in words, words
         assert {w.partition("=")[0] for w in words if w.startswith("--")} <= known | {"--help"}, words
@@ -100,7 +106,7 @@ def _public() -> dict[str, str | None]:
 
 def test_every_public_name_has_its_place_on_the_api_page() -> None:
     public, documented = _public(), _documented()
-    assert len(public) > 90
+    assert len(public) > 80
     missing = [
         name
         for name, place in public.items()

@@ -33,7 +33,7 @@ _SIMULATE = """
 import soundspaces_sim as ss
 config = ss.JobConfig(grid=ss.GridConfig(spacing=4.0, rays=100), simulation=ss.SimulationConfig(walks=16, duration=0.1))
 with ss.open_dataset(ss.build_dataset(ss.load_scene("demo"), "out", config).folder) as ds:
-    print(ds.binaural(0, 1).shape, ds.parameters("c50", pairs=[(0, 1)])["c50"].shape)
+    print(ds.binaural(0, 1).shape, ds.table().shape)
 """
 
 

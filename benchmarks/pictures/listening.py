@@ -16,10 +16,11 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import soundfile
+from soundspaces_renderers import dry
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig
-from soundspaces_sim.rendering import auralise, dry
+from soundspaces_sim.rendering import auralise
 from soundspaces_sim.rendering.renderers import find_renderer
 
 matplotlib.use("Agg")

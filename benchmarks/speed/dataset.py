@@ -117,8 +117,7 @@ def _resident_mb() -> float:
 
 def _loaders(folder: Path) -> Table:
     import torch
-
-    from soundspaces_sim.dataset.torch_dataset import TorchRirDataset
+    from soundspaces_torch.dataset import TorchRirDataset
 
     rows = []
     with ss.open_dataset(folder, rate=16000) as ds:

@@ -45,8 +45,6 @@ for command in (
     jobs.inspect,
     datasets.verify,
     datasets.table,
-    datasets.cite,
-    datasets.pack,
     datasets.export,
 ):
     app.command()(command)

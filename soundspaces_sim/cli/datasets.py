@@ -123,31 +123,6 @@ def table(
     print_doubts(ds.manifest)
 
 
-def cite(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:
-    """Print BibTeX of what a dataset rests on: methods, standards, measured sets."""
-    print(ss.citation(dataset), end="")
-
-
-def pack(
-    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Archive to write; by default the folder's name with .zip.")
-    ] = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Replace an archive that is there, without asking.")
-    ] = False,
-) -> None:
-    """Pack a dataset into one archive with its checksum, for a repository such as Zenodo."""
-    from soundspaces_sim.dataset.format import pack as archive
-
-    taken = archive.existing(archive.archive_path(dataset, out))
-    if taken and not replace and sys.stdin.isatty():
-        replace = typer.confirm(f"Replace {' and '.join(map(str, taken))}?", abort=True, err=True)
-    with Meter("Packing") as meter:
-        path = archive.pack_dataset(dataset, out, meter.update, replace)
-    print(f"Wrote {path} ({size_text(path.stat().st_size)}) and {path.name}.sha256")
-
-
 NameOption = Annotated[str | None, typer.Option(help="soundspaces-v1: replica (the default) or mp3d.")]
 PerOption = Annotated[
     str | None, typer.Option(help="sofa: a file per source (the default) or per listener.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from typing import Annotated
 
 import typer
@@ -10,24 +9,30 @@ import typer
 from soundspaces_sim.cli.console import run_app
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import neighbour_hint
+from soundspaces_sim.core.registry import installed_by_name
 
 GROUP = "soundspaces_sim.commands"  # of entry points; each is a typer app, by the command's name
 #: Folders in neighbours/ and help of every command.
 COMMANDS = {
     "collection": (
-        "buildings parameters pictures collections",
+        "buildings exports rooms parameters renderers pictures collections",
         "Build datasets of many generated buildings: splits, episodes, report.",
     ),
     "rooms": (
         "buildings exports rooms",
         "Simulate many rooms: random ones for speech, or those of a list.",
     ),
+    "cite": ("exports", "Print BibTeX of what a dataset rests on: methods, standards, measured sets."),
+    "pack": ("exports", "Pack a dataset into one archive with its checksum."),
     "parameters": ("parameters", "Write room-acoustic parameters of pairs, in octaves or thirds."),
-    "plot": ("parameters pictures", "Draw a picture of a dataset or a scene."),
-    "listen": ("parameters pictures", "Write sounds at three places and four headings, to listen."),
-    "report": ("parameters pictures", "Write one HTML page on a dataset, or on one receiver."),
+    "plot": ("parameters renderers pictures", "Draw a picture of a dataset or a scene."),
+    "listen": (
+        "parameters renderers pictures",
+        "Write sounds at three places and four headings, to listen.",
+    ),
+    "report": ("parameters renderers pictures", "Write one HTML page on a dataset, or on one receiver."),
     "explore": (
-        "parameters explorer",
+        "parameters renderers explorer",
         "Hear a scene in the browser while it is simulated, or a dataset.",
     ),
 }
@@ -46,7 +51,7 @@ def hand_over(
 ) -> None:
     """Run the neighbour's command. Raises `ConfigError` if it is not installed."""
     name = context.info_name or ""
-    found = list(entry_points(group=GROUP, name=name))
-    if not found:
+    found = installed_by_name(GROUP, name)
+    if found is None:
         raise ConfigError(f"{name}: not installed; {neighbour_hint(*COMMANDS[name][0].split())}")
-    run_app(found[0].load(), [*(_arguments or []), *context.args], f"soundspaces-sim {name}")
+    run_app(found, [*(_arguments or []), *context.args], f"soundspaces-sim {name}")

@@ -9,15 +9,13 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial, wraps
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.errors import ConfigError, SoundSpacesSimError
-from soundspaces_sim.core.extras import install_hint
+from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.core.numerics.bands import named_edges
 from soundspaces_sim.core.profile import profiled
@@ -51,12 +49,6 @@ def check_renderer_option(renderer: str | None) -> None:
     """Raise `ConfigError`, which blames the flag, for a name that is none."""
     if renderer is not None:
         check_name("--renderer", RENDERERS, renderer)
-
-
-def need_matplotlib() -> None:
-    """Raise `SoundSpacesSimError`, before any work, without what draws."""
-    if find_spec("matplotlib") is None or find_spec("jinja2") is None:
-        raise SoundSpacesSimError(f"pictures need matplotlib and jinja2: {install_hint('figures')}")
 
 
 def check_folder(out: Path, flag: str = "--out") -> None:

@@ -34,7 +34,6 @@ from soundspaces_sim.dataset.format.floorplan import read_floorplan
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.dataset.format.table import Metadata, as_frame, column_metadata
 from soundspaces_sim.dataset.materials import ChangeableMaterials, spread_metadata, with_spreads
-from soundspaces_sim.dataset.random_materials import RandomMaterials, draw_furnished
 from soundspaces_sim.dataset.stored import StoredResponses
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.low_response import LowResponse
@@ -191,14 +190,6 @@ class RirDataset:
         """The echogram from point `s` to point `l` as simulated, with its counts of reflections. Raises
         `PairIndexError`, `DatasetError` without counts."""
         return self._stored.counted(s, l)
-
-    def drawn(
-        self, s: int, l: int, /, materials: RandomMaterials, rng: np.random.Generator
-    ) -> tuple[Echogram, np.ndarray]:
-        """The echogram from point `s` to point `l` with `materials` that `rng` draws, and their absorption (M,
-        bands), in the order of `self.materials`. Raises `PairIndexError`, `DatasetError` without counts,
-        `MaterialError`."""
-        return draw_furnished(self._stored.counted(s, l), materials, rng)
 
     def ambisonic(
         self,

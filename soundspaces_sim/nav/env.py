@@ -6,8 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from importlib.metadata import entry_points
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import need
-from soundspaces_sim.core.registry import Entry, of_neighbour
+from soundspaces_sim.core.registry import Entry, installed, of_neighbour
 from soundspaces_sim.dataset.reader import RirDataset
 from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.env_options import EnvOptions, env_options
@@ -36,7 +35,11 @@ import gymnasium as gymnasium  # noqa: E402 - after it is known to be there
 from gymnasium import spaces as spaces  # noqa: E402
 from gymnasium.error import InvalidAction, ResetNeeded  # noqa: E402
 
-_MAP = Entry("soundspaces_pictures.episode_map:map_frame", "the map of an episode", "pictures")
+_MAP = Entry(
+    "soundspaces_pictures.episode_map:map_frame",
+    "the map of an episode",
+    "parameters renderers pictures",
+)
 PREFIX = "SoundSpaces"
 GROUP = "soundspaces_sim.environments"  # of entry points: functions by which neighbours register theirs
 
@@ -52,8 +55,8 @@ def register_environments() -> None:
                 vector_entry_point="soundspaces_sim.nav.vector:AudioNavVectorEnv",
                 kwargs={"task": task},
             )
-    for found in entry_points(group=GROUP):
-        found.load()()
+    for register in installed(GROUP, Callable):  # type: ignore[arg-type]
+        register()
 
 
 class Setting:

@@ -24,8 +24,9 @@ RENDERERS: Mapping[str, Entry] = {
         "noise with the echogram's directional moments",
     ),
     "smooth": Entry(
-        "soundspaces_sim.rendering.smooth:smooth_rir",
+        "soundspaces_renderers.smooth:smooth_rir",
         "as default, without steps at band edges or holes in tails",
+        "renderers",
     ),
     "paper": Entry("soundspaces_sim.rendering.seed_paper:paper_rir", "as the seed paper does it"),
     "direct": Entry("soundspaces_sim.rendering.direct:direct_rir", "the direct sound alone, as default"),

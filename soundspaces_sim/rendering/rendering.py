@@ -13,21 +13,21 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
 
-from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.registry import Entry, of_neighbour
 from soundspaces_sim.echogram.directed import directed
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.endpoints import Directivity
 from soundspaces_sim.rendering import auralise
 from soundspaces_sim.rendering.ambisonics import pair_seed
-from soundspaces_sim.rendering.binaural import binaural_moving, binaural_rirs
+from soundspaces_sim.rendering.binaural import binaural_rirs
 from soundspaces_sim.rendering.directivity import as_directivity
 from soundspaces_sim.rendering.ears import Ears, as_ears, ear_rirs
 from soundspaces_sim.rendering.higher_orders import higher_order_rir
 from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir
-from soundspaces_sim.rendering.moving import Known, as_way, render_moving
 from soundspaces_sim.rendering.renderers import check_renderer, find_renderer
+
+_MOVING = Entry("soundspaces_renderers.moving:render_ways", "moving sources, listeners", "renderers")
 
 
 @dataclass(frozen=True)
@@ -129,22 +129,8 @@ class Rendering:
         `sources` and `listeners`: rows (t, x, y, z) in s and m. `points` (N, 3) m, at least two: between them
         `echogram` gives echograms of `duration` s. Raises `PointError`, `ConfigError`.
         """
-        if not (source is None or isinstance(source, Directivity | str)):
-            raise ConfigError("source: expected one directivity where a way is given in metres")
-        dry = auralise.as_mono(audio)
-        spacing = np.asarray(KDTree(points).query(points, 2)[0])[:, 1]
-        known = Known(
-            points=points,
-            echogram=echogram,
-            respond=self.ambisonic,
-            duration=duration,
-            rate=self.rate,
-            speed_of_sound=self.c,
-            reach=float(np.median(spacing)),
+        render = of_neighbour("sources and listeners that move in metres", _MOVING)
+        moved: np.ndarray = render(
+            self, audio, sources, listeners, orientations_deg, source, points, echogram, duration
         )
-        a, b = as_way(sources, "sources", self.c), as_way(listeners, "listeners", self.c)
-        field = render_moving(dry, a, b, known, as_directivity(source, "source"))
-        turns, ears = np.atleast_2d(np.asarray(orientations_deg, float)), as_ears(self.ears)
-        return binaural_moving(
-            field, turns, self.rate, ears.hrtf, decoder=ears.decoder, equalisation=ears.equalisation
-        )
+        return moved

@@ -278,48 +278,6 @@ def cut_frames(
 
 
 @kernel
-def join_frames(first: int, last: int, out: np.ndarray, frames: np.ndarray, hop: int, ring: int) -> None:
-    """Fill rows `first` to `last` of `out` (R, n) with sums of the first 2 hop + 2 ring samples of `frames` (R, k,
-    m), placed as `cut_frames` takes them."""
-    n, length = out.shape[1], 2 * hop + 2 * ring
-    for row in range(first, last):
-        out[row] = 0.0
-        for k in range(frames.shape[1]):
-            start = (k - 1) * hop - ring
-            begin, end = max(0, -start), min(length, n - start)
-            if begin >= end:
-                continue
-            here, there, some = np.uintp(begin), np.uintp(start + begin), np.uintp(end - begin)
-            for i in range(some):
-                out[row, there + i] += frames[row, k, here + i]
-
-
-@kernel
-def play(
-    out: np.ndarray,
-    sound: np.ndarray,
-    first: int,
-    position: np.ndarray,
-    gains: np.ndarray,
-    table: np.ndarray,
-) -> None:
-    """Add `sound` (m,) to `out` (c, n) from sample `first` on, read at fractional samples `position` (k,) and times
-    `gains` (c, k). `table` (phases + 1, taps): `filters.sinc_table`, between whose rows values are linear."""
-    phases, taps = table.shape[0] - 1, table.shape[1]
-    for i in range(len(position)):
-        whole = math.floor(position[i])
-        row = (position[i] - whole) * phases
-        k = min(int(row), phases - 1)
-        mix = row - k
-        start = int(whole) - taps // 2 + 1
-        y = 0.0
-        for j in range(max(0, -start), min(taps, len(sound) - start)):
-            y += ((1.0 - mix) * table[k, j] + mix * table[k + 1, j]) * sound[start + j]
-        for c in range(out.shape[0]):
-            out[c, first + i] += gains[c, i] * y
-
-
-@kernel
 def decode(
     out: np.ndarray, spectrum: np.ndarray, matrix: np.ndarray, filters: np.ndarray, turned: np.ndarray
 ) -> None:

@@ -45,9 +45,10 @@ def label_rows(
 class SceneFormat:
     """One kind of scene: `detects` says whether a name or path is one, `read` reads it (`SceneError`).
 
-    `accepts`: what it is, for messages and help.
+    `accepts`: what it is, for messages and help. `beside`: habitat's files beside it may say its frame.
     """
 
     accepts: str
     detects: Callable[[str], bool]
     read: Callable[[str], LabelledMesh]
+    beside: bool = False

@@ -14,7 +14,7 @@ from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.extras import install_hint
 from soundspaces_sim.scene.arrays import mesh_arrays
 from soundspaces_sim.scene.beside import with_frame_beside
-from soundspaces_sim.scene.formats import FORMATS, accepted, find_format
+from soundspaces_sim.scene.formats import accepted, find_format
 from soundspaces_sim.scene.frame import DOUBT, to_scene_frame
 from soundspaces_sim.scene.holes import close_holes
 from soundspaces_sim.scene.kept import kept_ceiling, kept_mesh
@@ -203,14 +203,13 @@ def _read(source: Any, settled: bool) -> LabelledMesh:
     found = find_format(str(source))
     if found is not None:
         mesh = found.read(str(source))
-        framed = found in (FORMATS["obj"], FORMATS["mesh"], FORMATS["dae"]) and not settled
+        framed = found.beside and not settled
         return with_frame_beside(mesh, path) if framed else mesh
     if path.is_dir():
         raise SceneError(
             f"{path}: this folder is neither a Replica scene (habitat/mesh_semantic.ply and "
-            "habitat/info_semantic.json) nor a Matterport3D (<scene>.house and <scene>_semantic.ply), HM3D "
-            "(<id>.semantic.glb and <id>.semantic.txt) or Gibson one (mesh_z_up.obj, or <its name>.glb with .scn "
-            "or .navmesh); give the path of a mesh file instead"
+            "habitat/info_semantic.json) nor a Matterport3D (<scene>.house and <scene>_semantic.ply), HM3D or "
+            "Gibson one; give the path of a mesh file instead"
         )
     raise SceneError(
         f"unknown scene '{source}': neither a built-in scene nor an existing path; what can be read: {accepted()}"

@@ -5,7 +5,6 @@ Datasets with waves are read, rendered and measured by the core; neighbours/wave
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Protocol
 
@@ -14,6 +13,7 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.extras import neighbour_hint
+from soundspaces_sim.core.registry import installed_by_name
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.scene.scene import Scene
@@ -69,8 +69,9 @@ def low_method(config: SimulationConfig) -> LowMethod | None:
 
 def installed(name: str) -> LowMethod:
     """A method by its name. Raises `ConfigError` if it is not installed."""
-    found = list(entry_points(group=GROUP, name=name))
-    if not found:
-        raise ConfigError(f"simulation.low.method: {name} are not installed; {neighbour_hint(name)}")
-    method: LowMethod = found[0].load()
+    method: LowMethod | None = installed_by_name(GROUP, name)
+    if method is None:
+        raise ConfigError(
+            f"simulation.low.method: {name} are not installed; {neighbour_hint('parameters', name)}"
+        )
     return method

@@ -97,7 +97,7 @@ def test_scene_options_reach_the_scene(tmp_path: Path) -> None:
 def test_a_neighbours_command_is_handed_over_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By an entry point of a distribution of its own, with all that follows the command; else it is said."""
     found: list[EntryPoint] = []  # whatever is installed beside the package
-    monkeypatch.setattr(neighbours, "entry_points", lambda **_: found)
+    monkeypatch.setattr("soundspaces_sim.core.registry.entry_points", lambda **_: found)
     with pytest.raises(ss.ConfigError, match="not installed"):
         raise CliRunner().invoke(app, ["explore", "demo"]).exception or AssertionError
     found.append(EntryPoint("explore", "some_explorer:app", neighbours.GROUP))

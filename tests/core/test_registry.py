@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping
 from importlib import import_module
+from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 from soundspaces_pictures.registry import PAGES
 
 import soundspaces_sim as ss
 from soundspaces_sim.build.engines import ENGINES, find_engine
-from soundspaces_sim.core.registry import Entry, find, names
+from soundspaces_sim.core.registry import Entry, find, installed_by_name, names
 from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
 from soundspaces_sim.rendering.renderers import RENDERERS, check_renderer, find_renderer
+from soundspaces_sim.scene import formats
 
 TABLES = [RENDERERS, EXPORTERS, PAGES, ENGINES]
 
@@ -62,3 +66,49 @@ def test_what_a_neighbour_has_is_named_with_its_install_line() -> None:
     assert find("layout", table, "own") is math.sqrt
     with pytest.raises(ss.ConfigError, match=r"layout other: .*pip install \./neighbours/exports"):
         find("layout", table, "other")
+
+
+def _entry(name: str, target: str) -> EntryPoint:
+    return EntryPoint(name, target, formats.GROUP)
+
+
+def test_an_entry_point_that_leads_nowhere_is_named_and_stops_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A distribution that is gone, one that raises, and one that offers what is no format; a sound one beside."""
+    (tmp_path / "raises_on_import.py").write_text("raise OSError('no such device')")
+    monkeypatch.syspath_prepend(tmp_path)
+    good = "soundspaces_sim.scene.formats.obj:FORMAT"
+    offers = {
+        "gone": "gone_module:FORMAT",
+        "bad": "raises_on_import:FORMAT",
+        "wrong": "math:pi",
+        "good": good,
+    }
+    found = [_entry(name, target) for name, target in offers.items()]
+    monkeypatch.setattr("soundspaces_sim.core.registry.entry_points", lambda **_: found)
+    formats.neighbours.cache_clear()
+    try:
+        with caplog.at_level(logging.WARNING):
+            assert formats.neighbours() == (formats.FORMATS["obj"],)
+            assert ss.load_scene("demo").name == "demo"
+    finally:
+        monkeypatch.undo()
+        formats.neighbours.cache_clear()
+    said = [record.message for record in caplog.records if "cannot be loaded" in record.message]
+    assert len(said) == 3  # once, however many scenes are loaded
+    assert "'gone', gone_module:FORMAT" in said[0] and "no such device" in said[1]
+    assert "expected a SceneFormat, got float" in said[2]
+
+
+def test_an_entry_point_that_is_asked_for_by_name_names_its_distribution(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "some_waves-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: some-waves\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[some.group]\nwaves = gone_module:METHOD\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert installed_by_name("some.group", "rays") is None
+    with pytest.raises(ss.ConfigError, match=r"some-waves: .*'waves'.*gone_module.*install it anew"):
+        installed_by_name("some.group", "waves")

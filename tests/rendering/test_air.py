@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from soundspaces_renderers.smooth import smooth_rir
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.air import Air
@@ -13,7 +14,6 @@ from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir
-from soundspaces_sim.rendering.smooth import smooth_rir
 from tests import iso9613
 
 RATE = 44100

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 import soundspaces_sim as ss
+from neighbours.parameters.tests.test_parameters import FRONT, echogram, exponential
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
-from tests.echogram.test_parameters import FRONT, echogram, exponential
 
 RATE, ONSET_S = 16000, 0.1
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from soundspaces_parameters.of_waves import low_levels, octaves_below
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError, PairIndexError
 from soundspaces_sim.echogram.directed import directed
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals, Echogram
-from soundspaces_sim.echogram.low_measures import low_levels, octaves_below
 from soundspaces_sim.echogram.low_response import (
     LowResponse,
     band_gain,

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from soundspaces_sim.core.numerics.axes import DEGREE, spherical_harmonics
-from soundspaces_sim.echogram.filters import sinc_table
 from soundspaces_sim.rendering.synthesis import (
     decode,
     gather,
@@ -12,7 +11,6 @@ from soundspaces_sim.rendering.synthesis import (
     modulate,
     modulate_waves,
     place,
-    play,
 )
 
 NOISE = np.random.default_rng(0).normal(size=1 << 10).astype(np.float32)
@@ -120,19 +118,6 @@ def test_placed_responses_are_cut_at_both_ends() -> None:
     for response, start, gain in zip(responses, starts, gains, strict=True):
         expected[:, 15 + start : 25 + start] += np.outer(gain, response)
     np.testing.assert_allclose(out, expected[:, 15:45], atol=1e-6)
-
-
-def test_played_sound_is_that_of_the_moving_ear() -> None:
-    """A tone well below the table's cutoff, read at fractional positions, is the tone at those times."""
-    rate, tone = 8000, 0.11  # cycles per sample
-    table = sinc_table((0.0, 4000.0), rate)
-    sound = np.sin(2.0 * np.pi * tone * np.arange(400)).astype(np.float32)
-    position = 60.0 + 1.003 * np.arange(200) + 0.37
-    gains = np.stack([np.ones(200), np.linspace(0.0, 1.0, 200)]).astype(np.float32)
-    out = np.zeros((2, 260), np.float32)
-    play(out, sound, 20, position, gains, table)
-    np.testing.assert_allclose(out[:, 20:220], gains * np.sin(2.0 * np.pi * tone * position), atol=2e-3)
-    assert not out[:, :20].any() and not out[:, 220:].any()
 
 
 def test_decoded_ears_are_matrix_products() -> None:

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from soundspaces_rooms.many_rooms import ROOM_CONFIG
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.rooms import ROOM_CONFIG
 from soundspaces_sim.core.simulation_config import DEFAULT_WALKS
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.rounds import known_arrivals, round_sizes, takes_part

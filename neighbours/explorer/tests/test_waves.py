@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from soundspaces_explorer import payloads
+from soundspaces_parameters.of_waves import low_levels, octaves_below
 
 import soundspaces_sim as ss
 from neighbours.waves.tests.test_low_clients import ds as ds, folder as folder
-from soundspaces_sim.echogram.low_measures import low_levels, octaves_below
 
 
 def test_waves_are_those_of_the_reader(ds: ss.RirDataset) -> None:

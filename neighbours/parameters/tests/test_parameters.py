@@ -223,7 +223,9 @@ def test_offices() -> None:
         office_parameters(r[:3], level[:3], zero[:3], zero[:3], zero[:3])
     speech_at_1_m = echogram(np.zeros(99), direct=(1.0 / 343.0, FRONT, 1.0 / (4.0 * np.pi)))
     edges = tuple(fractional_octaves(1, 125.0, 8000.0)[0].tolist())
-    heard = speech.a_weighted_level(response(ss.in_bands(speech_at_1_m, edges)), speech.OFFICE_SPEECH_DB)
+    heard = speech.a_weighted_level(
+        response(soundspaces_parameters.in_bands(speech_at_1_m, edges)), speech.OFFICE_SPEECH_DB
+    )
     np.testing.assert_allclose(heard, 57.4, atol=0.05)  # ISO 3382-3, table 1
 
 

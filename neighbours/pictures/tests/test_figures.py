@@ -18,6 +18,7 @@ from soundspaces_pictures.listen import listening_folder
 from soundspaces_pictures.lobes import moments
 from soundspaces_pictures.pages import draw_page
 from soundspaces_pictures.plot_data import load_plot_data
+from soundspaces_renderers import dry
 
 import soundspaces_sim as ss
 from soundspaces_sim.dataset.format.floorplan import encode_floorplan, read_floorplan
@@ -26,7 +27,6 @@ from soundspaces_sim.echogram.measures import levels_of
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.grid import make_grid
 from soundspaces_sim.layout.records import FloorPlan
-from soundspaces_sim.rendering import dry
 from tests.command_line import run_command
 from tests.marks import ci_slow
 from tests.rooms import plain, table, two_rooms

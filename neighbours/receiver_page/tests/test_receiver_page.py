@@ -13,10 +13,10 @@ from soundspaces_receiver_page.page import Reflection, _line, edges_told, planes
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
+from neighbours.parameters.tests.test_room_parameters import ds as ds
 from neighbours.pictures.tests.test_report import _Page
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.echogram.echogram import EDGE, KINDS, Arrivals
-from tests.dataset.test_room_parameters import ds as ds
 
 
 def test_reflections_have_surfaces(ds: ss.RirDataset) -> None:
@@ -117,5 +117,5 @@ def test_without_it_the_command_says_how_to_get_it(
     monkeypatch.setattr(pictures, "_RECEIVER_PAGE", absent)
     command = ["report", str(ds.path), "--receiver", "3", "--out", str(tmp_path / "r.html")]
     done = CliRunner().invoke(app, command)
-    assert "pip install ./neighbours/receiver_page" in str(done.exception), done.output
+    assert "./neighbours/pictures ./neighbours/receiver_page" in str(done.exception), done.output
     assert not list(tmp_path.iterdir())

@@ -14,9 +14,9 @@ from soundspaces_rlr.habitat.scenes import find_scene, vertex_colors
 
 import soundspaces_sim as ss
 from neighbours.rlr_audio_propagation.tests.rooms import material, write_database
+from neighbours.scene_formats.tests.test_habitat_layouts import gibson
 from tests.marks import ci_slow
 from tests.ply import write_ply
-from tests.scene.test_habitat_layouts import gibson
 
 C, RATE = 343.0, 16000
 

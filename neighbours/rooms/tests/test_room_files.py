@@ -12,8 +12,8 @@ from soundspaces_rooms.room_files import RoomLine, read_rooms
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
+from neighbours.rooms.tests.test_simulate_many import CONFIG, LISTENERS, SOURCE, room
 from soundspaces_sim.cli.app import app
-from tests.build.test_rooms import CONFIG, LISTENERS, SOURCE, room
 from tests.test_readme import blocks_of
 
 

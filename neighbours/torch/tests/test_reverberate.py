@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from tests.dataset.test_torch import several as several
+from neighbours.torch.tests.test_torch import several as several
 
 torch = pytest.importorskip("torch", reason="the extra 'torch' is not installed")
 

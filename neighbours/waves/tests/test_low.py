@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import soundspaces_parameters
 import soundspaces_waves as sw
+from soundspaces_parameters.of_waves import low_measures, octaves_below
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.core.errors import ConfigError, DatasetError, PointError
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.writing import encode_echograms
-from soundspaces_sim.echogram.low_measures import low_measures, octaves_below
 
 SIZE = (3.2, 2.7, 2.4)
 POINTS = np.random.default_rng(1).uniform(0.1, 0.9, (6, 3)) * SIZE

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import sofar
 import soundfile
+from soundspaces_parameters.of_waves import low_measures, octaves_below
 from soundspaces_pictures.report import low_medians, write_report
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.dataset.exporters import EXPORTERS, find_exporter
 from soundspaces_sim.dataset.exporters.plan import carry_out
-from soundspaces_sim.echogram.low_measures import low_measures, octaves_below
 from tests.command_line import run_command
 from tests.marks import ci_slow
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import soundspaces_waves as sw
 from scipy.spatial.transform import Rotation
+from soundspaces_parameters.of_waves import low_measures, octaves_below
 from soundspaces_waves.branches import fit_branch, random_incidence
 
 import soundspaces_sim as ss
 from soundspaces_sim.echogram.filters import band_windows
-from soundspaces_sim.echogram.low_measures import low_measures, octaves_below
 from soundspaces_sim.echogram.low_response import band_gain
 from tests.marks import ci_slow
 from tests.rooms import box, table

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import soundspaces_waves as sw
 from msgspec.structs import replace
+from soundspaces_parameters.of_waves import octaves_below
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.echogram.low_measures import octaves_below
 from tests.marks import ci_slow
 
 SIZE = np.array([3.2, 2.7, 2.4])

@@ -27,8 +27,9 @@ EXPORTERS: Mapping[str, Entry] = {
         "exports",
     ),
     "sofa": Entry(
-        "soundspaces_sim.dataset.exporters.sofa:plan_sofa",
+        "soundspaces_exports.sofa:plan_sofa",
         "AES69, a SingleRoomSRIR file per source or listener",
+        "exports",
     ),
     "huggingface": Entry(
         "soundspaces_exports.huggingface:plan_huggingface",

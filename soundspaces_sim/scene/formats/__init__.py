@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from importlib.metadata import entry_points
 
+from soundspaces_sim.core.registry import installed
 from soundspaces_sim.scene.formats import elsewhere, matterport, mesh, obj, replica
 from soundspaces_sim.scene.generate import demo
 from soundspaces_sim.scene.labelled import SceneFormat
@@ -29,7 +29,7 @@ FORMATS: Mapping[str, SceneFormat] = {
 @cache
 def neighbours() -> tuple[SceneFormat, ...]:
     """Formats of distributions of their own, which are tried before the table's."""
-    return tuple(found.load() for found in entry_points(group=GROUP))
+    return tuple(installed(GROUP, SceneFormat))
 
 
 def find_format(source: str) -> SceneFormat | None:

@@ -129,7 +129,8 @@ def with_unit(mesh: LabelledMesh, unit: str) -> LabelledMesh:
 
 
 FORMAT = SceneFormat(
-    "a mesh file (OBJ, PLY, GLB, glTF, STL, OFF, DAE, 3MF, …)",
+    "a mesh file (OBJ, PLY, GLB, glTF, STL, OFF, 3MF, …)",
     lambda source: Path(source).is_file(),
     read_mesh,
+    beside=True,
 )

@@ -66,4 +66,5 @@ FORMAT = SceneFormat(
     "an OBJ file",
     lambda source: Path(source).suffix.lower() == ".obj" and Path(source).is_file(),
     read_obj,
+    beside=True,
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from soundspaces_pictures.commands import need_matplotlib
 
 import soundspaces_calibration as cal
 from soundspaces_sim.parts import (
@@ -15,7 +16,6 @@ from soundspaces_sim.parts import (
     Read,
     ReplaceOption,
     make_folder,
-    need_matplotlib,
     output_folder,
     publish_file as publish,
     read_settings,

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from soundspaces_rooms.many_rooms import in_processes
 
 from soundspaces_collections.records import Record, add_record, describe, read_records
 from soundspaces_sim import (
@@ -25,13 +26,7 @@ from soundspaces_sim import (
     load_scene,
     open_dataset,
 )
-from soundspaces_sim.parts import (
-    MANIFEST_NAME as MANIFEST,
-    core_count,
-    forecast,
-    in_processes,
-    read_manifest,
-)
+from soundspaces_sim.parts import MANIFEST_NAME as MANIFEST, core_count, forecast, read_manifest
 
 Log = Callable[[str], None]
 Progress = Callable[[int, int, str], None]

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from soundspaces_pictures import draw_plan
 from soundspaces_pictures.plan import BLUE, VERMILION
+from soundspaces_rooms.many_rooms import in_processes
 
 from soundspaces_collections.axonometric import above_picture, inside_picture, write_small
 from soundspaces_collections.make import Collection, Log, Task, make_task, split_of
@@ -24,7 +25,6 @@ from soundspaces_sim.parts import (
     HEADINGS,
     MAKER,
     CollectionFailure as Failure,
-    in_processes,
     make_folder,
     number_text,
     publish_file as publish,

@@ -29,7 +29,9 @@ from soundspaces_sim.parts import (
     wanted_episode,
 )
 
-_MAP = Entry("soundspaces_pictures.episode_map:MapPage", "the map of an episode", "pictures")
+_MAP = Entry(
+    "soundspaces_pictures.episode_map:MapPage", "the map of an episode", "parameters renderers pictures"
+)
 
 
 class ContinuousSetting:

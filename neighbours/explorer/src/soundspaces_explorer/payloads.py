@@ -6,19 +6,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from soundspaces_parameters.of_waves import has_octave, low_levels, octaves_below
 
 from soundspaces_sim import Echogram, PairIndexError, RirDataset
 from soundspaces_sim.echogram import room_measures
-from soundspaces_sim.parts import (
-    decay_curve,
-    has_octave,
-    levels_of,
-    low_levels,
-    nominal,
-    octaves_below,
-    read_floorplan,
-    storeys_of,
-)
+from soundspaces_sim.parts import decay_curve, levels_of, nominal, read_floorplan, storeys_of
 
 DECAY_BIN_S = 0.01
 SOUNDS = ("speech", "clap", "music")
@@ -118,7 +110,7 @@ def response(ds: RirDataset, s: int, l: int, heading_deg: float) -> np.ndarray:
 @lru_cache(maxsize=8)
 def sound(name: str, rate: int) -> np.ndarray:
     """(n,) float32: a dry sound by name, peak 0.5."""
-    from soundspaces_sim.parts import hand_clap, music, syllables  # scipy.signal takes a second to load
+    from soundspaces_renderers.dry import hand_clap, music, syllables
 
     makers = {"speech": syllables, "clap": hand_clap, "music": music}
     signal = np.asarray(makers[name](rate), np.float32)

@@ -25,27 +25,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soundspaces_parameters.band_pieces import Pieces, in_bands, pieces_of, without_air
+from soundspaces_parameters.of_waves import LOW_MEASURES, bands_below, low_measures
 from soundspaces_parameters.registry import PARAMETERS, Parameter, find_parameter
 from soundspaces_parameters.response import Response, response_of
 from soundspaces_parameters.speech import OCTAVES, Speech
-from soundspaces_sim import ConfigError, Echogram, in_bands
+from soundspaces_sim import ConfigError, Echogram
 from soundspaces_sim.parts import (
     BANDS_PER_OCTAVE as PER_OCTAVE,
     BIN_S,
     HIGHEST_OCTAVE,
     LARGEST_TIME_ERROR as LARGEST_ERROR,
-    LOW_MEASURES,
     LOWEST_BAND as LOWEST,
     MEASURES,
-    BandPieces as Pieces,
     RoomMeasures,
-    band_pieces as pieces_of,
-    bands_below,
     check_edges,
     fractional_octaves,
-    low_measures,
     nominal,
-    without_air_in_bands as without_air,
 )
 
 _TIMES = ("t20", "t30", "edt")

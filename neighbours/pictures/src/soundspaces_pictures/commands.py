@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from soundspaces_parameters.commands import NoiseOption, SpeechOption, speech_of
 from soundspaces_parameters.registry import check_parameters
 
 import soundspaces_pictures as viz
@@ -18,26 +20,31 @@ from soundspaces_sim.parts import (
     DAMAGED,
     HrtfOption,
     Meter,
-    NoiseOption,
     RendererOption,
     ReplaceOption,
-    SpeechOption,
     TableEntry as Entry,
     check_entry_name as check_name,
     check_file_option as check_file,
     check_renderer_option,
     entry_names as names,
-    need_matplotlib,
+    install_hint,
     of_neighbour,
     output_file,
     output_folder,
-    speech_of,
 )
 
 _HTML = (".html", ".htm")
 _RECEIVER_PAGE = Entry(
-    "soundspaces_receiver_page:write_receiver_report", "a page on one receiver", "receiver_page"
+    "soundspaces_receiver_page:write_receiver_report",
+    "a page on one receiver",
+    "parameters renderers pictures receiver_page",
 )
+
+
+def need_matplotlib() -> None:
+    """Raise `SoundSpacesSimError`, before any work, without what draws."""
+    if find_spec("matplotlib") is None or find_spec("jinja2") is None:
+        raise SoundSpacesSimError(f"pictures need matplotlib and jinja2: {install_hint('figures')}")
 
 
 def plot(

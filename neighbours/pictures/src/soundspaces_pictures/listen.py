@@ -7,11 +7,18 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from soundspaces_renderers import dry
 
 from soundspaces_pictures.response import draw_spectrogram
 from soundspaces_sim import ConfigError, RirDataset
-from soundspaces_sim.parts import make_folder, mono, publish_file as publish, read_sound, wav_bytes
-from soundspaces_sim.rendering import auralise as listening, dry
+from soundspaces_sim.parts import (
+    convolve_sound,
+    make_folder,
+    mono,
+    publish_file as publish,
+    read_sound,
+    wav_bytes,
+)
 
 _HEADINGS = (0.0, 90.0, 180.0, 270.0)
 _PEAK = 0.7
@@ -44,9 +51,9 @@ def listening_folder(
         heard: dict[str, np.ndarray] = {}
         for place, listener in places.items():
             field = ds.ambisonic(source, listener)
-            heard[f"{sound}_{place}_mono"] = listening.convolve(signal, field[:1])
+            heard[f"{sound}_{place}_mono"] = convolve_sound(signal, field[:1])
             for heading, ears in zip(_HEADINGS, ds.binaurals(source, listener, turns), strict=True):
-                heard[f"{sound}_{place}_{heading:03.0f}"] = listening.convolve(signal, ears)
+                heard[f"{sound}_{place}_{heading:03.0f}"] = convolve_sound(signal, ears)
         gain = _PEAK / max(float(np.abs(x).max()) for x in heard.values())
         for name, x in heard.items():
             publish(folder / f"{name}.wav", wav_bytes(gain * x, ds.rate))

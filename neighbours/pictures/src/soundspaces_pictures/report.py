@@ -15,6 +15,8 @@ import numpy as np
 import soundfile
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from soundspaces_parameters.of_waves import has_octave, octaves_below
+from soundspaces_renderers.dry import hand_clap
 
 from soundspaces_pictures.decay import BAND_COLOURS, draw_decay
 from soundspaces_pictures.html_page import write_page
@@ -29,10 +31,7 @@ from soundspaces_sim.parts import (
     config_differences as differences,
     convolve_sound as convolve,
     file_sha256,
-    hand_clap,
-    has_octave,
     nominal,
-    octaves_below,
     rebuild_command,
     undefined_times,
     version_text,

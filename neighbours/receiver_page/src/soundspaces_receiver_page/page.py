@@ -10,14 +10,14 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from soundspaces_parameters import Speech
+from soundspaces_parameters import Speech, in_bands
 from soundspaces_parameters.registry import PARAMETERS
 from soundspaces_parameters.table import ParameterTable
 from soundspaces_pictures import draw_decay
 from soundspaces_pictures.html_page import write_page
 from soundspaces_pictures.report import png
 
-from soundspaces_sim import Arrival, Echogram, PairIndexError, RirDataset, __version__, in_bands
+from soundspaces_sim import Arrival, Echogram, PairIndexError, RirDataset, __version__
 from soundspaces_sim.parts import ARRIVAL_KINDS as KINDS, KIND_EDGE as EDGE, KIND_MIRRORS as MIRRORS
 
 _BIN_S = 0.002

@@ -26,12 +26,12 @@ import msgspec
 import numpy as np
 from soundspaces_exports.lhotse import packed_lines, recording as recording, supervision as supervision
 
+from soundspaces_rooms.many_rooms import in_processes
 from soundspaces_rooms.room_stream import RoomStream
 from soundspaces_sim import ConfigError, DatasetError, SceneError, SimulationError, __version__
 from soundspaces_sim.parts import (
     code_target,
     create_hdf5,
-    in_processes,
     make_folder,
     publish_file as publish,
     read_text,

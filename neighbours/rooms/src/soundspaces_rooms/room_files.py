@@ -16,6 +16,7 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 import numpy as np
 
+from soundspaces_rooms.many_rooms import ROOM_CONFIG, in_processes, room_named
 from soundspaces_sim import (
     ConfigError,
     DatasetError,
@@ -28,11 +29,9 @@ from soundspaces_sim import (
     shoebox,
 )
 from soundspaces_sim.parts import (
-    ROOM_CONFIG,
     as_points,
     code_target,
     encode_echograms,
-    in_processes,
     is_valid_shard as is_valid,
     make_folder,
     model_between,
@@ -40,7 +39,6 @@ from soundspaces_sim.parts import (
     profile_stage as stage,
     publish_file as publish,
     read_text,
-    room_named,
     simulate_between,
     with_notes,
 )

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.signal import oaconvolve
 
 from soundspaces_rooms.low_equalisation import check_deviation, equalised
+from soundspaces_rooms.many_rooms import room_named
 from soundspaces_sim import (
     ConfigError,
     Echograms,
@@ -39,7 +40,6 @@ from soundspaces_sim.parts import (
     model_between,
     of_simulation,
     pair_seed,
-    room_named,
     simulate_pairs,
 )
 

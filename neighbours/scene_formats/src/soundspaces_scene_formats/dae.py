@@ -79,4 +79,5 @@ FORMAT = SceneFormat(
     "a COLLADA file (.dae)",
     lambda source: Path(source).suffix.lower() == ".dae" and Path(source).is_file(),
     read_dae,
+    beside=True,
 )

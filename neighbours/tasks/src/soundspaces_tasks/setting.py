@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from soundspaces_rooms.many_rooms import in_processes
 
 from soundspaces_sim import ConfigError, RirCollection, open_datasets
-from soundspaces_sim.parts import SPLITS, in_processes, read_splits
+from soundspaces_sim.parts import SPLITS, read_splits
 
 RATE = 16000  # Hz, of everything that tasks hear
 _SPLITS = ("train", "val", "test")

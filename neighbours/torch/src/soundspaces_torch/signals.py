@@ -19,13 +19,18 @@ from typing import NamedTuple
 import numpy as np
 import scipy.fft
 import torch
+from soundspaces_renderers.smooth import (
+    LANES as SMOOTH_LANES,
+    continued as continued_decay,
+    energies as smooth_energies,
+    step_plans,
+)
 from torch import Tensor
 
 from soundspaces_sim.parts import (
-    FILTER_FLOOR as FILTER_FLOOR,
+    FILTER_FLOOR,
     SECOND_ORDER_CHANNELS as CHANNELS,
-    SMOOTH_LANES as SMOOTH_LANES,
-    WAVE_LANES as WAVE_LANES,
+    WAVE_LANES,
     Air,
     Equalisation,
     Method,
@@ -33,7 +38,6 @@ from soundspaces_sim.parts import (
     air_spectrum,
     band_noise,
     band_plans,
-    continued_decay as continued_decay,
     cut_frames,
     decoder_transform,
     gain_above,
@@ -41,7 +45,7 @@ from soundspaces_sim.parts import (
     head_matrix,
     hop_and_ring,
     hop_filters,
-    join_frames,
+    kernel,
     left_after,
     log_steps,
     make_scratch,
@@ -49,8 +53,6 @@ from soundspaces_sim.parts import (
     place_responses as place,
     rotation_matrices,
     sinc_table,
-    smooth_energies as smooth_energies,
-    step_plans,
     transform_size,
     white_noise,
 )
@@ -62,6 +64,23 @@ SECOND = 2.0**_FRACTION  # of delays
 _GAMMA, _MIX_1, _MIX_2 = (
     np.uint64(x) for x in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 )
+
+
+@kernel
+def join_frames(first: int, last: int, out: np.ndarray, frames: np.ndarray, hop: int, ring: int) -> None:
+    """Fill rows `first` to `last` of `out` (R, n) with sums of the first 2 hop + 2 ring samples of `frames` (R, k,
+    m), placed as `cut_frames` takes them."""
+    n, length = out.shape[1], 2 * hop + 2 * ring
+    for row in range(first, last):
+        out[row] = 0.0
+        for k in range(frames.shape[1]):
+            start = (k - 1) * hop - ring
+            begin, end = max(0, -start), min(length, n - start)
+            if begin >= end:
+                continue
+            here, there, some = np.uintp(begin), np.uintp(start + begin), np.uintp(end - begin)
+            for i in range(some):
+                out[row, there + i] += frames[row, k, here + i]
 
 
 class EchogramBatch(NamedTuple):

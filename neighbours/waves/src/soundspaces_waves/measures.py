@@ -17,16 +17,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from soundspaces_parameters.of_waves import LOW_MEASURES, low_measures as measures_of, octaves_below
 
 from soundspaces_sim import ConfigError, Scene, SimulationConfig, load_scene
-from soundspaces_sim.parts import (
-    LOW_MEASURES,
-    as_points,
-    check_edges,
-    low_measures as measures_of,
-    octaves_below,
-    over_rows,
-)
+from soundspaces_sim.parts import as_points, check_edges, over_rows
 from soundspaces_waves.placing import sight
 from soundspaces_waves.responses import LowResponses
 from soundspaces_waves.simulate import simulate_low

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from soundspaces_rooms.many_rooms import simulate_many
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.rooms import simulate_many
 from tests.marks import CI_SLOW
 
 AUTO = ss.RadianceTransferConfig(subpaths="auto")

@@ -12,11 +12,14 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from soundspaces_sim.core.errors import DatasetError
-from soundspaces_sim.core.io.files import check_target, file_sha256, publish
-from soundspaces_sim.dataset.format.card import CARDS
-from soundspaces_sim.dataset.format.manifest import NAME
-from soundspaces_sim.dataset.format.verify import verify_dataset
+from soundspaces_sim import DatasetError, verify_dataset
+from soundspaces_sim.parts import (
+    CARDS,
+    MANIFEST_NAME as NAME,
+    check_target,
+    file_sha256,
+    publish_file as publish,
+)
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time that a ZIP can name
 _UNIX, _PLAIN_FILE = 3, 0o100644 << 16

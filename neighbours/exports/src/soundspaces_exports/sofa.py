@@ -14,18 +14,19 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.extras import install_hint
-from soundspaces_sim.core.io.files import make_folder, publish
-from soundspaces_sim.core.numerics.axes import CHANNELS
-from soundspaces_sim.dataset.exporters.plan import (
+from soundspaces_sim import ConfigError, RirDataset
+from soundspaces_sim.parts import (
+    SECOND_ORDER_CHANNELS as CHANNELS,
+    Convention,
     ExportPlan,
-    Progress,
+    ExportProgress as Progress,
     choose_pairs,
-    samples_of,
+    convert_ambisonics as convert,
+    install_hint,
+    make_folder,
+    publish_file as publish,
+    response_samples_of as samples_of,
 )
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.rendering.soundfield import Convention, convert
 
 Per = Literal["source", "listener"]
 _UNKNOWN = "not stated"

@@ -144,7 +144,7 @@ def test_pairs_are_those_of_the_table(dataset_folder: Path) -> None:
 
 
 def test_workers_cannot_use_another_device() -> None:
-    from soundspaces_sim.dataset import torch_dataset
+    from soundspaces_torch import dataset as torch_dataset
 
     torch_dataset._check_worker(torch.device("cuda"))  # no worker here
     with pytest.MonkeyPatch.context() as patch:

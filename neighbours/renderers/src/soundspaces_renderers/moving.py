@@ -16,7 +16,7 @@ Amplitudes go as 1 / D; the convective amplification of a source that moves (les
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -25,17 +25,28 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
-from soundspaces_sim.core.errors import PointError
-from soundspaces_sim.core.limits import LEAST_DISTANCE
-from soundspaces_sim.core.numerics.axes import CHANNELS, spherical_harmonics
-from soundspaces_sim.echogram.directed import aim, departures, directed, gains
-from soundspaces_sim.echogram.echogram import Echogram, without_arrivals
-from soundspaces_sim.echogram.endpoints import Directivity
-from soundspaces_sim.echogram.filters import arrival_filters, sinc_table
-from soundspaces_sim.rendering.auralise import convolve
-from soundspaces_sim.rendering.low_band import above, below
-from soundspaces_sim.rendering.synthesis import play
+from soundspaces_sim import ConfigError, Directivity, Echogram, PointError, binaural_moving, directed
+from soundspaces_sim.parts import (
+    LEAST_DISTANCE,
+    SECOND_ORDER_CHANNELS as CHANNELS,
+    Rendering,
+    above_edge as above,
+    aim_directivity as aim,
+    arrival_filters,
+    as_directivity,
+    as_ears,
+    as_mono,
+    convolve_sound as convolve,
+    departure_directions as departures,
+    directivity_gains as gains,
+    kernel,
+    sinc_table,
+    spherical_harmonics,
+    waves_below as below,
+    without_arrivals,
+)
 
 _CONTROL_S = 1e-3  # between instants at which a path is computed
 _LOOK_S = 0.01  # between instants at which the nearest point is looked up
@@ -295,7 +306,7 @@ def _add_arrival(
     first = math.ceil(heard[0] * rate)
     time = np.arange(first, min(math.floor(heard[-1] * rate) + 1, scene.out.shape[1])) / rate
     sound, start = _filtered(scene.dry, left[0] * rate, left[-1] * rate, energy, delay, echoes, rate)
-    play(
+    _play(
         scene.discrete,
         sound,
         first,
@@ -335,3 +346,63 @@ def _filtered(
     if len(part) == 0:
         return np.zeros(1, np.float32), low
     return convolve(part, response.astype(np.float32))[0], low + int(starts[0])
+
+
+@kernel
+def _play(
+    out: np.ndarray,
+    sound: np.ndarray,
+    first: int,
+    position: np.ndarray,
+    gains: np.ndarray,
+    table: np.ndarray,
+) -> None:
+    """Add `sound` (m,) to `out` (c, n) from sample `first` on, read at fractional samples `position` (k,) and times
+    `gains` (c, k). `table` (phases + 1, taps): `filters.sinc_table`, between whose rows values are linear."""
+    phases, taps = table.shape[0] - 1, table.shape[1]
+    for i in range(len(position)):
+        whole = math.floor(position[i])
+        row = (position[i] - whole) * phases
+        k = min(int(row), phases - 1)
+        mix = row - k
+        start = int(whole) - taps // 2 + 1
+        y = 0.0
+        for j in range(max(0, -start), min(taps, len(sound) - start)):
+            y += ((1.0 - mix) * table[k, j] + mix * table[k + 1, j]) * sound[start + j]
+        for c in range(out.shape[0]):
+            out[c, first + i] += gains[c, i] * y
+
+
+def render_ways(
+    rendering: Rendering,
+    audio: ArrayLike,
+    sources: ArrayLike,
+    listeners: ArrayLike,
+    orientations_deg: ArrayLike,
+    source: Directivity | str | Sequence[Directivity | str | None] | None,
+    points: np.ndarray,
+    echogram: Callable[[int, int], Echogram],
+    duration: float,
+) -> np.ndarray:
+    """(2, n): a dry signal by a `rendering`, whose source and listener move along rows (t, x, y, z) in s and m.
+    `points` (N, 3) m, at least two: between them `echogram` gives echograms of `duration` s. Raises `PointError`,
+    `ConfigError`."""
+    if not (source is None or isinstance(source, Directivity | str)):
+        raise ConfigError("source: expected one directivity where a way is given in metres")
+    dry = as_mono(audio)
+    spacing = np.asarray(KDTree(points).query(points, 2)[0])[:, 1]
+    known = Known(
+        points=points,
+        echogram=echogram,
+        respond=rendering.ambisonic,
+        duration=duration,
+        rate=rendering.rate,
+        speed_of_sound=rendering.c,
+        reach=float(np.median(spacing)),
+    )
+    a, b = as_way(sources, "sources", rendering.c), as_way(listeners, "listeners", rendering.c)
+    field = render_moving(dry, a, b, known, as_directivity(source, "source"))
+    turns, ears = np.atleast_2d(np.asarray(orientations_deg, float)), as_ears(rendering.ears)
+    return binaural_moving(
+        field, turns, rendering.rate, ears.hrtf, decoder=ears.decoder, equalisation=ears.equalisation
+    )

@@ -8,11 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError, MaterialError
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.material_spread import logit_reproducibility, logits, shares, variety
-from soundspaces_sim.echogram.reflection_counts import MaterialGroups
-from soundspaces_sim.echogram.refurnish import MOST_DB, closure_error_db, refurnished
+from soundspaces_sim import ConfigError, Echogram, MaterialError, refurnished
+from soundspaces_sim.parts import (
+    MOST_DB,
+    MaterialGroups,
+    absorption_shares as shares,
+    closure_error_db,
+    logit_reproducibility,
+    logits,
+    variety,
+)
 
 _STEPS = 6  # bisections of how far a draw may go
 

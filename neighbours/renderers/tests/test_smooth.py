@@ -5,12 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from soundspaces_renderers.smooth import _steps, continued, smooth_rir, step_energies
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrivals
 from soundspaces_sim.rendering.renderers import find_renderer
-from soundspaces_sim.rendering.smooth import _steps, continued, smooth_rir, step_energies
 
 NONE = Arrivals(np.empty(0), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 2), int))
 EDGES = np.arange(1001) * 0.001

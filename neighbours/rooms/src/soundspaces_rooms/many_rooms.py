@@ -14,17 +14,24 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from soundspaces_sim.build.cores import use_cores
-from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.errors import PointError, SimulationError, SoundSpacesSimError
-from soundspaces_sim.core.interrupts import check
-from soundspaces_sim.core.numerics.kernel import set_thread_count
-from soundspaces_sim.core.processes import start_worker, worker_pool
-from soundspaces_sim.core.simulation_config import of_simulation
-from soundspaces_sim.echogram.echogram import Echograms
-from soundspaces_sim.echogram.endpoints import Points
-from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.api import simulate
+from soundspaces_sim import (
+    Echograms,
+    PointError,
+    Scene,
+    SimulationConfig,
+    SimulationError,
+    SoundSpacesSimError,
+    simulate,
+)
+from soundspaces_sim.parts import (
+    PointsLike as Points,
+    check_interrupts as check,
+    of_simulation,
+    set_thread_count,
+    start_worker,
+    use_cores,
+    worker_pool,
+)
 
 _AHEAD = 4  # rooms that wait for each process: some take longer than others
 _Task = TypeVar("_Task")

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
+from soundspaces_exports.pack import pack_dataset
 from typer.testing import CliRunner
 
 import soundspaces_sim as ss
@@ -20,7 +21,6 @@ from docs.fields_page import field_tables
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.dataset.format.card import CARDS, write_cards
 from soundspaces_sim.dataset.format.manifest import read_manifest, write_manifest
-from soundspaces_sim.dataset.format.pack import pack_dataset
 from soundspaces_sim.dataset.format.schema import CURRENT, schema
 
 ROOT = Path(__file__).resolve().parents[2]

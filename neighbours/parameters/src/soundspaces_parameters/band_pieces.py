@@ -23,10 +23,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.bands import check_edges, log_edges
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.filters import air_left
+from soundspaces_sim import ConfigError, Echogram
+from soundspaces_sim.parts import air_left, check_edges, log_edges
 
 _SAME = 1.02  # ratio of two edges that are taken for one: 176 Hz and the octave's 177.8 Hz
 _FLOOR = 1e-9  # of the strongest band: least energy of which a slope is taken

@@ -7,14 +7,14 @@ import tomllib
 import numpy as np
 import pytest
 import soundspaces_parameters
+from soundspaces_parameters.band_pieces import pieces_of
 from soundspaces_parameters.evaluate import Conditions, Pair, bands_of
 
 import soundspaces_sim as ss
+from neighbours.parameters.tests.test_parameters import FRONT, echogram
 from soundspaces_sim.core.io.resources import resource
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS, band_means, fractional_octaves
-from soundspaces_sim.echogram.in_bands import pieces_of
-from tests.echogram.test_parameters import FRONT, echogram
 
 OCTAVES, THIRDS = (tuple(fractional_octaves(n, 100.0, 5000.0)[0].tolist()) for n in (1, 3))
 
@@ -30,9 +30,9 @@ def random_echogram(bands: tuple[float, ...], seed: int = 0, air: Air | None = N
 
 def test_bands_that_were_simulated_come_back() -> None:
     found = random_echogram(OCTAVES, air=Air())
-    assert ss.in_bands(found, OCTAVES) is found
+    assert soundspaces_parameters.in_bands(found, OCTAVES) is found
     near = tuple(1.01 * e for e in OCTAVES)  # an edge within 2 % is the stored one
-    again = ss.in_bands(found, near)
+    again = soundspaces_parameters.in_bands(found, near)
     np.testing.assert_allclose(again.energy, found.energy, rtol=2e-6)
     np.testing.assert_allclose(again.early.energy, found.early.energy, rtol=1e-9)
     assert again.direct is not None and found.direct is not None
@@ -46,7 +46,7 @@ def test_thirds_add_up_to_their_octaves() -> None:
     width = np.diff(THIRDS[low : high + 1]) / (OCTAVES[2] - OCTAVES[1])
     for air in (None, Air()):
         found = random_echogram(THIRDS, air=air)
-        octave = ss.in_bands(found, OCTAVES[1:3])
+        octave = soundspaces_parameters.in_bands(found, OCTAVES[1:3])
         expected = found.energy[:, :, low:high] @ width
         np.testing.assert_allclose(octave.energy[:, :, 0], expected, rtol=1e-5)
         np.testing.assert_allclose(octave.energy[:, 3], 0.5 * octave.energy[:, 0], rtol=1e-5)
@@ -63,10 +63,10 @@ def test_a_spectrum_that_is_a_straight_line_is_found() -> None:
 
     found = echogram(of(centre), bands, direct=None)
     octaves = tuple(400.0 * 2.0 ** np.arange(7.0))  # the inner bands, in halves
-    got = ss.in_bands(found, octaves).energy[:, 0]
+    got = soundspaces_parameters.in_bands(found, octaves).energy[:, 0]
     expected = of(np.log2(np.sqrt(np.array(octaves[1:]) * octaves[:-1])))
     np.testing.assert_allclose(got, expected, rtol=1e-4)
-    stairs = ss.in_bands(found, octaves, staircase=True).energy[:, 0]
+    stairs = soundspaces_parameters.in_bands(found, octaves, staircase=True).energy[:, 0]
     np.testing.assert_allclose(stairs, np.repeat(of(centre)[:, 1:4], 2, axis=1), rtol=1e-4)
 
 
@@ -77,7 +77,7 @@ def test_air_is_that_of_the_octave() -> None:
     times = (np.arange(1000) + 0.5) * 0.001
     found = echogram(air.transmission(DEFAULT_BANDS, 343.0 * times), DEFAULT_BANDS, direct=None)
     found = ss.Echogram(**{**vars(found), "air": air})
-    got = ss.in_bands(found, OCTAVES).energy[:, 0]
+    got = soundspaces_parameters.in_bands(found, OCTAVES).energy[:, 0]
     expected = air.transmission(OCTAVES, 343.0 * times)
     np.testing.assert_allclose(got[:, [0, 1, 2, 4]], expected[:, [0, 1, 2, 4]], rtol=2e-3)
     # 1 and 4 kHz lie across an edge: they are sums of two parts
@@ -90,7 +90,7 @@ def test_no_octave_lies_beyond_its_neighbours(seed: int) -> None:
     rng = np.random.default_rng(seed)
     energy = 10.0 ** rng.uniform(-9.0, 0.0, (200, 4)) * (rng.random((200, 4)) < 0.9)
     found = echogram(energy, DEFAULT_BANDS, direct=None)
-    thirds = ss.in_bands(found, THIRDS).energy[:, 0]
+    thirds = soundspaces_parameters.in_bands(found, THIRDS).energy[:, 0]
     assert np.isfinite(thirds).all() and (thirds >= 0.0).all()
     stored = found.energy[:, 0]
     floor = 1.01e-9 * stored.max(axis=1, keepdims=True)
@@ -126,7 +126,7 @@ def test_the_error_of_interpolation_is_that_of_real_materials() -> None:
         z.append(np.sum((value - truth)[use] ** 2) / np.sum(error[use] ** 2))
         plain.append(np.mean(np.log(value / truth)[use] ** 2))
         edges = pair.bands.edges
-        rough = ss.in_bands(pair.stored, edges, staircase=True)
+        rough = soundspaces_parameters.in_bands(pair.stored, edges, staircase=True)
         flat = soundspaces_parameters.room_parameters(rough, "t20", edges)["t20"][0][octaves]
         stairs.append(np.mean(np.log(flat / truth)[use] ** 2))
     assert 0.5 < np.sqrt(np.median(z)) < 1.3, np.sqrt(np.median(z))

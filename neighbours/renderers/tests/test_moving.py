@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 from scipy.signal.windows import tukey
+from soundspaces_renderers.moving import Known, _play, as_way, render_moving
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
+from soundspaces_sim.echogram.filters import sinc_table
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
-from soundspaces_sim.rendering.moving import Known, as_way, render_moving
 
 C, RATE = 343.0, 16000
 NONE = Arrivals(np.empty(0), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 2), int))
@@ -190,3 +191,16 @@ def test_a_way_that_leaves_the_points_is_an_error() -> None:
     way = as_way([[0.0, 0.0, 0.0, 1.5], [1.0, 0.0, 6.0, 1.5]], "sources", C)
     with pytest.raises(ss.PointError, match=r"sources: at .* m from the nearest point"):
         render_moving(_tone(1.0), way, way, _known(points, _free))
+
+
+def test_played_sound_is_that_of_the_moving_ear() -> None:
+    """A tone well below the table's cutoff, read at fractional positions, is the tone at those times."""
+    rate, tone = 8000, 0.11  # cycles per sample
+    table = sinc_table((0.0, 4000.0), rate)
+    sound = np.sin(2.0 * np.pi * tone * np.arange(400)).astype(np.float32)
+    position = 60.0 + 1.003 * np.arange(200) + 0.37
+    gains = np.stack([np.ones(200), np.linspace(0.0, 1.0, 200)]).astype(np.float32)
+    out = np.zeros((2, 260), np.float32)
+    _play(out, sound, 20, position, gains, table)
+    np.testing.assert_allclose(out[:, 20:220], gains * np.sin(2.0 * np.pi * tone * position), atol=2e-3)
+    assert not out[:, :20].any() and not out[:, 220:].any()

@@ -16,14 +16,21 @@ from typing import NamedTuple
 import numpy as np
 import scipy.fft
 
-from soundspaces_sim.core.numerics.axes import CHANNELS
-from soundspaces_sim.core.numerics.bands import center_frequencies
-from soundspaces_sim.core.numerics.rng import combine
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.filters import band_shares, white_noise
-from soundspaces_sim.rendering.air import through_air, without_air
-from soundspaces_sim.rendering.ambisonics import response_length, transform_size, with_arrivals
-from soundspaces_sim.rendering.synthesis import make_scratch, modulate
+from soundspaces_sim import Echogram
+from soundspaces_sim.parts import (
+    SECOND_ORDER_CHANNELS as CHANNELS,
+    band_shares,
+    center_frequencies,
+    combine_keys as combine,
+    make_scratch,
+    modulate_noise as modulate,
+    response_length,
+    response_through_air as through_air,
+    response_without_air as without_air,
+    transform_size,
+    white_noise,
+    with_arrivals,
+)
 
 _PER_OCTAVE = 2
 _FLOOR = 1e-9  # of the strongest band of a time bin

@@ -7,12 +7,8 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-from soundspaces_sim.core.config import JobConfig, SimulationConfig
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.version import __version__
-from soundspaces_sim.dataset.format.manifest import read_manifest
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.rendering.ears import Ears
+from soundspaces_sim import ConfigError, Ears, JobConfig, RirDataset, SimulationConfig, __version__
+from soundspaces_sim.parts import read_manifest
 
 # BibTeX of what a simulation rests on, by what uses it: equations and references are those of docs/theory.md.
 #

@@ -9,16 +9,19 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.registry import Entry, of_neighbour
-from soundspaces_sim.dataset.collection import RirCollection
-from soundspaces_sim.dataset.labels import pair_labels, source_direction
-from soundspaces_sim.dataset.random_materials import RandomMaterials
-from soundspaces_sim.dataset.reader import RirDataset
-from soundspaces_sim.dataset.sampling import as_pairs, check_pairs, pairs_of_two
-from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.measure_names import MEASURES
-from soundspaces_sim.echogram.measures import room_measures
+from soundspaces_sim import ConfigError, Echogram, RirCollection, RirDataset
+from soundspaces_sim.echogram import room_measures
+from soundspaces_sim.parts import (
+    MEASURES,
+    TableEntry as Entry,
+    as_pairs,
+    check_pairs,
+    of_neighbour,
+    pair_labels,
+    pairs_of_two,
+    source_direction,
+)
+from soundspaces_torch import RandomMaterials, draw_furnished
 
 Item = dict[str, Any]
 _RENDERER = Entry("soundspaces_torch.renderer:Renderer", "responses on a device", "torch")
@@ -149,7 +152,7 @@ class TorchRirDataset(Dataset[Item]):
         """Read what is drawn from, so that what is wrong is told now; drop labels of the materials as simulated."""
         rng = np.random.default_rng(0)
         for ds in self._scenes.values():
-            _, absorption = ds.drawn(0, 0, self.materials, rng)  # type: ignore[arg-type]  # there are some
+            _, absorption = draw_furnished(ds.counted(0, 0), self.materials, rng)  # type: ignore[arg-type]  # there are some
             self._groups = max(self._groups, len(absorption))
         for name in MEASURES:
             self._labels.pop(f"{name}_error", None)
@@ -239,7 +242,7 @@ class TorchRirDataset(Dataset[Item]):
             rng = np.random.default_rng(int(torch.randint(2**62, ())))
         else:
             rng = np.random.default_rng((self.seed, int(self._epoch), item, _STREAM))
-        echogram, absorption = ds.drawn(s, l, self.materials, rng)
+        echogram, absorption = draw_furnished(ds.counted(s, l), self.materials, rng)
         measures, errors = room_measures(echogram), echogram.relative_error
         found = {
             **{name: getattr(measures, name) for name in MEASURES},

@@ -11,10 +11,14 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
-from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.bands import fractional_octaves
-from soundspaces_sim.echogram.low_response import LowResponse
-from soundspaces_sim.echogram.measures import RoomMeasures, band_energies, energy_measures
+from soundspaces_sim import ConfigError
+from soundspaces_sim.parts import (
+    LowResponse,
+    RoomMeasures,
+    band_energies,
+    energy_measures,
+    fractional_octaves,
+)
 
 LOW_MEASURES = ("t20", "t30", "edt", "c50", "c80", "d50", "ts")
 _OVER = 4  # samples per sample: squares have twice the band

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from soundspaces_pictures.report import write_report
+from soundspaces_torch.random_materials import RandomMaterials, draw_furnished
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.config import DatasetConfig
@@ -51,7 +52,7 @@ def test_draws_have_the_spreads_of_the_tables() -> None:
         ("carpet", "glass"), np.array([0.5, 0.5]), absorption, transmission, -absorption
     )
     rng, count = np.random.default_rng(0), 4000
-    drawn = np.array([ss.RandomMaterials().draw(groups, BANDS, rng) for _ in range(count)])
+    drawn = np.array([RandomMaterials().draw(groups, BANDS, rng) for _ in range(count)])
     assert (drawn > 0.0).all() and (drawn < 1.0 - transmission).all()
     share = drawn / (1.0 - transmission)
     logit = np.log(share / (1.0 - share))
@@ -75,19 +76,19 @@ def test_some_materials_or_none() -> None:
         ("carpet", "glass"), np.full(2, 0.5), absorption, np.zeros((2, 2)), -absorption
     )
     rng = np.random.default_rng(0)
-    np.testing.assert_array_equal(ss.RandomMaterials(0.0).draw(groups, BANDS, rng), absorption)
-    one = ss.RandomMaterials(names=["glass"]).draw(groups, BANDS, rng)
+    np.testing.assert_array_equal(RandomMaterials(0.0).draw(groups, BANDS, rng), absorption)
+    one = RandomMaterials(names=["glass"]).draw(groups, BANDS, rng)
     np.testing.assert_array_equal(one[0], absorption[0])
     assert (one[1] != absorption[1]).all()
-    ends = ss.RandomMaterials().draw(groups, BANDS, rng)
+    ends = RandomMaterials().draw(groups, BANDS, rng)
     assert np.isfinite(ends).all() and (ends >= 0.0).all() and (ends < 1.0).all()
     with pytest.raises(MaterialError, match="'marble' were not counted, only those by carpet, glass"):
-        ss.RandomMaterials(names=["marble"]).check(groups)
+        RandomMaterials(names=["marble"]).check(groups)
     for bad in (-1.0, float("nan"), float("inf")):
         with pytest.raises(ConfigError, match="scale must be a finite number"):
-            ss.RandomMaterials(bad)
+            RandomMaterials(bad)
     with pytest.raises(ConfigError, match="names must be a list"):
-        ss.RandomMaterials(names="glass")
+        RandomMaterials(names="glass")
 
 
 def test_draws_stay_where_counts_reach(ds: ss.RirDataset, dataset_folder: Path) -> None:
@@ -96,12 +97,12 @@ def test_draws_stay_where_counts_reach(ds: ss.RirDataset, dataset_folder: Path) 
     plainly = ds._stored.counted(0, 1)
     for _ in range(20):
         state = rng.bit_generator.state
-        echogram, absorption = ds.drawn(0, 1, ss.RandomMaterials(3.0), rng)
+        echogram, absorption = draw_furnished(ds.counted(0, 1), RandomMaterials(3.0), rng)
         assert closure_error_db(plainly, absorption) <= MOST_DB * (1.0 + 1e-9)
         again = np.random.default_rng()
         again.bit_generator.state = state
         assert plainly.counts is not None
-        wanted = ss.RandomMaterials(3.0).draw(plainly.counts.groups, plainly.bands, again)
+        wanted = RandomMaterials(3.0).draw(plainly.counts.groups, plainly.bands, again)
         moved += not np.allclose(absorption, wanted, rtol=1e-12)
         names = [m.name for m in ds.materials]
         asked = ds.echogram(
@@ -110,7 +111,7 @@ def test_draws_stay_where_counts_reach(ds: ss.RirDataset, dataset_folder: Path) 
         np.testing.assert_array_equal(asked.energy, echogram.energy)
     assert 0 < moved < 20
     with ss.open_dataset(dataset_folder) as old, pytest.raises(DatasetError, match="holds no counts"):
-        old.drawn(0, 1, ss.RandomMaterials(), rng)
+        draw_furnished(old.counted(0, 1), RandomMaterials(), rng)
 
 
 def test_spreads_of_measures(ds: ss.RirDataset) -> None:
@@ -144,9 +145,9 @@ def _read(data: Any, **how: Any) -> list[np.ndarray]:
 def test_the_reader_for_pytorch(ds: ss.RirDataset, dataset_folder: Path) -> None:
     """By seed, epoch and item alone, whatever the workers; labels and responses are those of the draw."""
     pytest.importorskip("torch", reason="the extra 'torch' is not installed")
-    from soundspaces_sim.dataset.torch_dataset import TorchRirDataset
+    from soundspaces_torch.dataset import TorchRirDataset
 
-    data = TorchRirDataset(ds, samples=400, seed=5, materials=ss.RandomMaterials())
+    data = TorchRirDataset(ds, samples=400, seed=5, materials=RandomMaterials())
     epochs = []
     for epoch in range(2):
         data.set_epoch(epoch)
@@ -165,6 +166,6 @@ def test_the_reader_for_pytorch(ds: ss.RirDataset, dataset_folder: Path) -> None
         ds.table(collocated=True)[1]["distance"]
     )
     with ss.open_dataset(dataset_folder) as old, pytest.raises(DatasetError, match="holds no counts"):
-        TorchRirDataset(old, materials=ss.RandomMaterials())
+        TorchRirDataset(old, materials=RandomMaterials())
     plainly = TorchRirDataset(ds, samples=400, seed=5)
     assert plainly[1]["heading_deg"] == data[1]["heading_deg"] and "absorption" not in plainly[1]
