@@ -139,7 +139,7 @@ from .dataset.format.shard import FAILED as FAILED_PAIR, Shard, is_valid as is_v
 from .dataset.format.splits import SPLITS, read_splits, write_splits
 from .dataset.format.table import Metadata as ColumnMetadata, as_frame as as_data_frame, write_table
 from .dataset.format.writing import encode_echograms
-from .dataset.labels import pair_labels, source_direction
+from .dataset.labels import source_direction
 from .dataset.sampling import (
     as_pairs,
     as_points as as_point_rows,
@@ -228,7 +228,7 @@ from .layout.records import (
 )
 from .nav.agents import BASELINES, Agent, Observation, oracle_action
 from .nav.audio_sensor import RMS_AT_1_M, intensity as sound_intensity, seconds_of
-from .nav.cache import BlockCache, LastUsed
+from .nav.cache import BlockCache
 from .nav.depth import check_scene, scene_of_dataset
 from .nav.env import (
     Setting as EnvSetting,
@@ -280,12 +280,7 @@ from .rendering.low_band import (
 from .rendering.rendering import Rendering
 from .rendering.seed_paper import band_noise
 from .rendering.soundfield import Convention, convert as convert_ambisonics
-from .rendering.synthesis import (
-    cut_frames,
-    make_scratch,
-    modulate as modulate_noise,
-    place as place_responses,
-)
+from .rendering.synthesis import make_scratch, modulate as modulate_noise, place as place_responses
 from .rendering.waves import (
     LANES as WAVE_LANES,
     WAVES as PLANE_WAVES,
@@ -451,7 +446,6 @@ __all__ = [
     "HrtfOption",
     "Interval",
     "LabelledMesh",
-    "LastUsed",
     "LowResponse",
     "Manifest",
     "MaterialGroups",
@@ -550,7 +544,6 @@ __all__ = [
     "convolve_sound",
     "core_count",
     "create_hdf5",
-    "cut_frames",
     "data_delay",
     "decay_curve",
     "decoder_filters",
@@ -656,7 +649,6 @@ __all__ = [
     "over_rows",
     "overlay_tables",
     "packaged_file",
-    "pair_labels",
     "pair_seed",
     "pairs_of_two",
     "parse_xml",

@@ -4,31 +4,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from typing import Generic, TypeVar
 
 import numpy as np
 
 Block = dict[str, np.ndarray]
-_Key = TypeVar("_Key", bound=Hashable)
-_Kept = TypeVar("_Kept")
-
-
-class LastUsed(Generic[_Key, _Kept]):
-    """What was made last by key, at most `most` of it. Not shared between threads."""
-
-    def __init__(self, most: int) -> None:
-        self.most = most
-        self._kept: OrderedDict[_Key, _Kept] = OrderedDict()
-
-    def get(self, key: _Key, make: Callable[[], _Kept]) -> _Kept:
-        """What is kept under `key`; made, and kept, if there is nothing."""
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
-        made = self._kept[key] = make()
-        if len(self._kept) > self.most:
-            self._kept.popitem(last=False)
-        return made
 
 
 class BlockCache:

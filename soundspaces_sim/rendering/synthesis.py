@@ -252,32 +252,6 @@ def place(out: np.ndarray, responses: np.ndarray, starts: np.ndarray, harmonics:
 
 
 @kernel
-def cut_frames(
-    first: int, last: int, frames: np.ndarray, signal: np.ndarray, window: np.ndarray, n: int, ring: int
-) -> None:
-    """Fill rows `first` to `last` of `frames` (R, k, m) with stretches of the first n samples of `signal` (R, N),
-    times `window` (2 hop,), from sample `ring` of a frame on; frame k begins (k - 1) hop samples after the
-    signal."""
-    length = len(window)
-    hop = length // 2
-    for row in range(first, last):
-        for k in range(frames.shape[1]):
-            start = (k - 1) * hop
-            begin, end = max(0, -start), min(length, n - start)
-            frames[row, k] = 0.0
-            if begin >= end:
-                continue
-            here, there, from_, some = (
-                np.uintp(begin),
-                np.uintp(ring + begin),
-                np.uintp(start + begin),
-                np.uintp(end - begin),
-            )
-            for i in range(some):
-                frames[row, k, there + i] = window[here + i] * signal[row, from_ + i]
-
-
-@kernel
 def decode(
     out: np.ndarray, spectrum: np.ndarray, matrix: np.ndarray, filters: np.ndarray, turned: np.ndarray
 ) -> None:

@@ -7,14 +7,13 @@ from typing import Any
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.transport import low_method
 
 
 def test_waves_name_their_neighbour(monkeypatch: pytest.MonkeyPatch) -> None:
     def none(**_: Any) -> tuple[()]:
         return ()
 
-    monkeypatch.setattr(low_method, "entry_points", none)
+    monkeypatch.setattr("soundspaces_sim.core.registry.entry_points", none)
     config = ss.SimulationConfig(walks=8, duration=0.1, low=ss.LowConfig(method="waves"))
     with pytest.raises(ss.ConfigError, match=r"pip install .*\./neighbours/waves"):
         ss.simulate(ss.shoebox((4.0, 3.0, 2.5)), [1.0, 1.0, 1.0], [[2.0, 2.0, 1.0]], config)

@@ -10,7 +10,7 @@ from soundspaces_exports.citation import SOURCES, citation, entries, parts_used
 
 import soundspaces_sim as ss
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 THEORY = " ".join((ROOT / "docs" / "theory.md").read_text("utf-8").split())
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from soundspaces_sim.cli.app import app
-from soundspaces_sim.core.errors import SoundSpacesSimError
+from tests.command_line import run_command
 
 
 @pytest.mark.parametrize(
@@ -26,9 +27,11 @@ from soundspaces_sim.core.errors import SoundSpacesSimError
         (("report", "gone", "--out", "nowhere/t.html"), "--out nowhere/t.html: there is no folder nowhere"),
     ],
 )  # fmt: skip
-def test_what_makes_no_sense_is_refused_at_once(arguments: tuple[str, ...], message: str) -> None:
-    error = CliRunner().invoke(app, list(arguments)).exception
-    assert isinstance(error, SoundSpacesSimError) and re.search(message, str(error))
+def test_what_makes_no_sense_is_refused_at_once(
+    tmp_path: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    ended = run_command(*arguments, cwd=tmp_path)
+    assert ended.returncode == 2 and re.search(message, ended.stderr)
 
 
 def test_help_lists_the_pages() -> None:
@@ -39,10 +42,10 @@ def test_help_lists_the_pages() -> None:
 def test_pictures_go_beside_a_dataset_and_are_not_replaced_unasked(
     dataset_folder: Path, tmp_path: Path
 ) -> None:
-    plot = ["plot", str(dataset_folder), "--what", "map", "--out", str(tmp_path / "map.png")]
-    assert CliRunner().invoke(app, plot).exit_code == 0
-    again = CliRunner().invoke(app, plot)
-    assert again.exit_code != 0 and "is there already" in str(again.exception)
-    assert CliRunner().invoke(app, [*plot, "--replace"]).exit_code == 0
-    listen = ["listen", str(dataset_folder), "--out", str(dataset_folder)]
-    assert "is a dataset" in str(CliRunner().invoke(app, listen).exception)
+    run = partial(run_command, cwd=tmp_path)
+    plot = ["plot", str(dataset_folder), "--what", "map", "--out", "map.png"]
+    assert run(*plot).returncode == 0
+    again = run(*plot)
+    assert again.returncode == 2 and "is there already" in again.stderr
+    assert run(*plot, "--replace").returncode == 0
+    assert "is a dataset" in run("listen", str(dataset_folder), "--out", str(dataset_folder)).stderr

@@ -23,7 +23,7 @@ from soundspaces_pictures.registry import WIDTHS_CM
 
 from soundspaces_sim.core.errors import ConfigError
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+DOCS = Path(__file__).resolve().parents[3] / "docs"
 #: What dichromats see of linear RGB: Machado, Oliveira & Fernandes 2009, severity 1.
 DICHROMATS = {
     "none": np.eye(3),

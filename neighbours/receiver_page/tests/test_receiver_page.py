@@ -17,6 +17,7 @@ from neighbours.parameters.tests.test_room_parameters import ds as ds
 from neighbours.pictures.tests.test_report import _Page
 from soundspaces_sim.cli.app import app
 from soundspaces_sim.echogram.echogram import EDGE, KINDS, Arrivals
+from tests.command_line import run_command
 
 
 def test_reflections_have_surfaces(ds: ss.RirDataset) -> None:
@@ -116,6 +117,7 @@ def test_without_it_the_command_says_how_to_get_it(
     absent = pictures._RECEIVER_PAGE._replace(target="not_installed_here:write")
     monkeypatch.setattr(pictures, "_RECEIVER_PAGE", absent)
     command = ["report", str(ds.path), "--receiver", "3", "--out", str(tmp_path / "r.html")]
-    done = CliRunner().invoke(app, command)
-    assert "./neighbours/pictures ./neighbours/receiver_page" in str(done.exception), done.output
+    done = run_command(*command, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "./neighbours/pictures ./neighbours/receiver_page" in done.stderr
     assert not list(tmp_path.iterdir())

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from soundspaces_scene_formats import ifc
 
+import soundspaces_sim as ss
 from soundspaces_sim.core.errors import SceneError
 from tests.build.test_isolation import check_isolated
 
@@ -22,8 +23,8 @@ def test_it_ends(
     (tmp_path / "ifcopenshell.py").write_text(does)
     (tmp_path / "a.ifc").write_text("ISO-10303-21;")
     monkeypatch.syspath_prepend(tmp_path)
-    root = str(Path(ifc.__file__).parents[3])
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([root, str(tmp_path)]))
+    roots = (Path(ss.__file__).parents[1], Path(ifc.__file__).parents[1], tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, roots)))
     monkeypatch.setattr(ifc, "_SECONDS", seconds)
     with pytest.raises(SceneError, match=rf"a\.ifc: cannot be read as an IFC model.*({message})"):
         ifc.read_ifc(str(tmp_path / "a.ifc"))
@@ -31,6 +32,7 @@ def test_it_ends(
 
 def test_a_stranger_s_module_is_not_run(tmp_path: Path) -> None:
     code = """
+import soundspaces_sim as ss
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_scene_formats.ifc import read_ifc
 Path("a.ifc").write_text("ISO-10303-21;")

@@ -82,7 +82,9 @@ def make_transfer_plan(model: Model) -> TransferPlan:
     steps, stretches = make_stretches(edges)
     windows = make_window_steps(batch_edges(model))
     factor = (4.0 * weight).astype(np.float32)
-    groups = make_groups(model.first.once(patch_groups), weight, windows.steps, model.world.surfaces.kept)
+    groups = make_groups(
+        model.first.once(patch_groups), weight, windows.steps, model.world.surfaces.kept
+    )
     return TransferPlan(
         steps=steps,
         stretches=stretches,

@@ -16,9 +16,10 @@ is kept by harmonics of the heading, for an agent that turns.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 import scipy.fft
@@ -28,7 +29,6 @@ from soundspaces_continuous.sound_field import Place, SoundField
 from soundspaces_sim import ConfigError, Echogram, binaural_rirs
 from soundspaces_sim.parts import (
     BlockCache,
-    LastUsed,
     air_spectrum,
     arrival_filters,
     decoder_filters,
@@ -44,6 +44,27 @@ HEADINGS = 5  # of kept reverberation, and harmonics of the heading: 2 N + 1 for
 _HARMONIC, _PARTNER = np.array([0, 1, 0, 1, 3, 1, 0, 1, 3]), np.array([0, 3, 2, 1, 8, 7, 6, 5, 4])
 _MOST_PLACES = 32  # whose discrete paths are kept
 _LEGS = 3  # straight stretches of a discrete path, at most
+
+_Key = TypeVar("_Key", bound=Hashable)
+_Kept = TypeVar("_Kept")
+
+
+class LastUsed(Generic[_Key, _Kept]):
+    """What was made last by key, at most `most` of it. Not shared between threads."""
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._kept: OrderedDict[_Key, _Kept] = OrderedDict()
+
+    def get(self, key: _Key, make: Callable[[], _Kept]) -> _Kept:
+        """What is kept under `key`; made, and kept, if there is nothing."""
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        made = self._kept[key] = make()
+        if len(self._kept) > self.most:
+            self._kept.popitem(last=False)
+        return made
 
 
 class Sounding(NamedTuple):

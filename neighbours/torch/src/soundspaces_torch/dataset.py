@@ -17,7 +17,6 @@ from soundspaces_sim.parts import (
     as_pairs,
     check_pairs,
     of_neighbour,
-    pair_labels,
     pairs_of_two,
     source_direction,
 )
@@ -26,6 +25,31 @@ from soundspaces_torch import RandomMaterials, draw_furnished
 Item = dict[str, Any]
 _RENDERER = Entry("soundspaces_torch.renderer:Renderer", "responses on a device", "torch")
 _STREAM = 1  # keeps draws of materials apart from those of headings
+
+
+def pair_labels(
+    ds: RirDataset, pairs: np.ndarray, names: Sequence[str] | None = None
+) -> dict[str, np.ndarray]:
+    """Labels of (k, 2) pairs: columns of the table (k,), and those per band under their common name, (k, bands).
+
+    `names`: ``distance``, ``t30`` and so on; by default all but points and positions. Raises `ConfigError` if there
+    is no such column.
+    """
+    table = ds.table(collocated=True)
+    columns: dict[str, list[str]] = {}
+    for column in table.dtype.names or ():
+        name, _, band = column.rpartition("_")
+        columns.setdefault(name if band.isdigit() else column, []).append(column)
+    own = {"source", "listener", *(f"{end}_{axis}" for end in ("source", "listener") for axis in "xyz")}
+    names = [n for n in columns if n not in own] if names is None else names
+    unknown = [n for n in names if n not in columns]
+    if unknown:
+        raise ConfigError(f"labels: no '{unknown[0]}' in the table; there are {', '.join(columns)}")
+    rows = table[pairs[:, 0] * len(ds.points) + pairs[:, 1]]  # every pair, by source and listener
+    return {
+        n: rows[n] if columns[n] == [n] else np.stack([rows[c] for c in columns[n]], axis=-1)
+        for n in names
+    }
 
 
 class TorchRirDataset(Dataset[Item]):

@@ -38,7 +38,6 @@ from soundspaces_sim.parts import (
     air_spectrum,
     band_noise,
     band_plans,
-    cut_frames,
     decoder_transform,
     gain_above,
     harmonics_sn3d,
@@ -64,6 +63,32 @@ SECOND = 2.0**_FRACTION  # of delays
 _GAMMA, _MIX_1, _MIX_2 = (
     np.uint64(x) for x in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 )
+
+
+@kernel
+def cut_frames(
+    first: int, last: int, frames: np.ndarray, signal: np.ndarray, window: np.ndarray, n: int, ring: int
+) -> None:
+    """Fill rows `first` to `last` of `frames` (R, k, m) with stretches of the first n samples of `signal` (R, N),
+    times `window` (2 hop,), from sample `ring` of a frame on; frame k begins (k - 1) hop samples after the
+    signal."""
+    length = len(window)
+    hop = length // 2
+    for row in range(first, last):
+        for k in range(frames.shape[1]):
+            start = (k - 1) * hop
+            begin, end = max(0, -start), min(length, n - start)
+            frames[row, k] = 0.0
+            if begin >= end:
+                continue
+            here, there, from_, some = (
+                np.uintp(begin),
+                np.uintp(ring + begin),
+                np.uintp(start + begin),
+                np.uintp(end - begin),
+            )
+            for i in range(some):
+                frames[row, k, there + i] = window[here + i] * signal[row, from_ + i]
 
 
 @kernel

@@ -1,0 +1,1 @@
+"""Scenes of HM3D and Gibson, IFC building models and COLLADA files."""
