@@ -1,4 +1,4 @@
-"""What two ears hear during a step, of sources that go on sounding, from spectra that are kept.
+"""What two ears hear during a step, of sources that go on sounding, from responses that are kept.
 
 Conventions: block j of `block` samples is heard during step j, at the pose reached by it. Partitioned convolution
 by overlap and save: a response is cut into partitions of one block, whose spectra multiply those of the source's
@@ -6,17 +6,21 @@ windows; windows reach `fade` samples beyond their block, so a pose's sound goes
 poses' sounds are cross-faded there, linearly in amplitude. An agent thus moves in the first `fade` samples of a
 step and rests for the others; no sample jumps.
 
-Reverberation of a pair is kept as binaural spectra for five headings 72 degrees apart. Order-2 ambisonics have no
-harmonic above the second in the heading, so that any other heading is their trigonometric interpolation, exactly.
-Several points add with the roots of their shares: their noises are independent, so their powers add as shares.
-Of discrete paths the colour is kept; level, delay and direction follow the place. What both ears hear of them there
-is kept by harmonics of the heading, for an agent that turns.
+Reverberation of a pair is kept as what both ears hear, by harmonics of the heading: order-2 ambisonics have none
+above the second, so that five give any heading exactly. Several points add with the roots of their shares: their
+noises are independent, so their powers add as shares. The sum is transformed, not each pair. Of discrete paths the
+colour is kept; level, delay and direction follow the place. What both ears hear of them there is kept by harmonics
+of the heading, for an agent that turns.
+
+What is kept of a pair is rounded to 16 bits with one scale for each `_STRETCH` samples, that of their peak: an error
+of at most 2^-16 of it (-96 dB). It is a fifth of the size of spectra, so that all pairs of a home fit into memory.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +29,7 @@ import scipy.fft
 
 from soundspaces_continuous.signals import SourceSignal
 from soundspaces_continuous.sound_field import Place, SoundField
-from soundspaces_sim import ConfigError, Echogram, binaural_rirs
+from soundspaces_sim import ConfigError, Echogram
 from soundspaces_sim.parts import (
     BlockCache,
     LastUsed,
@@ -38,12 +42,14 @@ from soundspaces_sim.parts import (
 )
 from soundspaces_sim.parts import kernel_part as part
 
-HEADINGS = 5  # of kept reverberation, and harmonics of the heading: 2 N + 1 for order N = 2
+HARMONICS = 5  # of the heading: 2 N + 1 for order N = 2
 #: Of each ambisonic channel: where its cosine goes among the harmonics of the heading; the channel of the same
 #: degree and order with sine for cosine.
 _HARMONIC, _PARTNER = np.array([0, 1, 0, 1, 3, 1, 0, 1, 3]), np.array([0, 3, 2, 1, 8, 7, 6, 5, 4])
 _MOST_PLACES = 32  # whose discrete paths are kept
 _LEGS = 3  # straight stretches of a discrete path, at most
+_STRETCH = 128  # samples with one scale
+_LARGEST = 32767.0
 
 
 class Sounding(NamedTuple):
@@ -53,20 +59,17 @@ class Sounding(NamedTuple):
     place: Place
 
 
+class _Packed(NamedTuple):
+    """Samples (g, r, n) in 16 bits; a scale (g, stretches) float32 is for all r rows."""
+
+    samples: np.ndarray
+    scale: np.ndarray
+
+
 class _Pair(NamedTuple):
-    late: np.ndarray  # (partitions, 5, 2, 2 F) float32, real and imaginary in turn
-    colour: (
-        np.ndarray
-    )  # (paths, 2, f) float32 spectra of its paths, arriving at 0 s, real and imaginary apart
-    ahead: np.ndarray  # (), samples by which a colour begins before its path arrives
-
-
-def heading_weights(heading: float) -> np.ndarray:
-    """(5,) shares of headings 0, 72, … degrees in a function of the heading (rad) without harmonics above the
-    second:
-    Dirichlet's kernel."""
-    x = heading - np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
-    return np.asarray((1.0 + 2.0 * np.cos(x) + 2.0 * np.cos(2.0 * x)) / HEADINGS)
+    late: _Packed  # (1, 5 * 2, n): reverberation at both ears, by harmonics of the heading
+    colour: _Packed  # (paths, 1, taps): responses of its paths, arriving at 0 s
+    ahead: float  # samples by which a colour begins before its path arrives
 
 
 def _harmonics(heading: float) -> np.ndarray:
@@ -105,11 +108,11 @@ class StepRenderer:
         taps = filters.shape[2] + probe[0].shape[1]
         self._early_size = int(scipy.fft.next_fast_len(math.ceil(longest * self.rate) + taps, real=True))
         self._early_parts = -(-(self._early_size - self._lead) // block)
-        ears = scipy.fft.rfft(filters.astype(np.float32), self._early_size)
-        self._filters = np.ascontiguousarray(np.stack([ears.real, ears.imag], axis=2), np.float32)
+        self._ears = lru_cache(maxsize=4)(lambda size: _apart(scipy.fft.rfft(filters, size)))
+        self._taps = filters.shape[2]
         bins = self._early_size // 2 + 1
         self._sum, self._path = np.zeros((9, 2, bins), np.float32), np.zeros((2, bins), np.float32)
-        self._both = np.empty((HEADINGS, 2, bins), np.complex64)
+        self._both = np.empty((HARMONICS, 2, bins), np.complex64)
         self._kept: LastUsed[tuple[bytes, bytes], np.ndarray] = LastUsed(_MOST_PLACES)
         self._air = self._air_of_a_metre()
         self._rise = ((np.arange(fade) + 0.5) / fade).astype(np.float32)
@@ -134,16 +137,17 @@ class StepRenderer:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(2, block) float32 during step `step` at a place, facing `heading` rad; and the tail (2, fade)
         that goes on into the next step. `tail`: that of the step before; None: there was none."""
-        bins = self.size // 2 + 1
-        total = np.zeros((2, bins), np.complex64)
+        total = np.zeros((2, self.size // 2 + 1), np.complex64)
         heard = False
         for source in sounding:
-            response = self._response(source.place, listener, heading)
-            spectra = [source.signal.spectrum(step - p, self) for p in range(len(response))]
-            for partition, spectrum in zip(response, spectra, strict=True):
-                if spectrum is not None:
-                    _multiply(total, spectrum, partition)
-                    heard = True
+            spectra = [source.signal.spectrum(step - p, self) for p in range(self._parts)]
+            sounding_parts = [p for p, spectrum in enumerate(spectra) if spectrum is not None]
+            if not sounding_parts:
+                continue
+            response = self._response(source.place, listener, heading, sounding_parts[-1] + 1)
+            for p in sounding_parts:
+                _multiply(total, spectra[p], response[p])
+            heard = True
         out = np.zeros((2, self.block), np.float32)
         if heard:
             whole = scipy.fft.irfft(total, self.size, overwrite_x=True)
@@ -155,52 +159,48 @@ class StepRenderer:
             out[:, : self.fade] = tail + (out[:, : self.fade] - tail) * self._rise
         return out, np.ascontiguousarray(after)
 
-    def _response(self, source: Place, listener: Place, heading: float) -> np.ndarray:
-        """(partitions, 2, F) complex64 spectra of the response between two places."""
-        turn = heading_weights(heading)
+    def _response(self, source: Place, listener: Place, heading: float, parts: int) -> np.ndarray:
+        """(parts, 2, F) complex64 spectra of the first partitions of the response between two places."""
+        turn = _harmonics(heading)
         key = source.position.tobytes(), listener.position.tobytes()
         early = self._kept.get(key, lambda: self._early(source, listener))
-        first = self._pair(source.points[0], listener.points[0])
-        parts = max(len(first.late), len(early))
-        out = np.zeros((parts, 2, 2 * (self.size // 2 + 1)), np.float32)
-        _accumulate(out, early, _harmonics(heading))
+        ears = np.zeros((2, parts * self.block), np.float32)
+        _add_early(ears, early, turn)
         for s, of_s in zip(source.points, source.shares, strict=True):
             for l, of_l in zip(listener.points, listener.shares, strict=True):
-                weights = (math.sqrt(of_s * of_l) * turn).astype(np.float32)
-                _accumulate(out, self._pair(s, l).late, weights)
-        return out.view(np.complex64)
+                late = self._pair(s, l).late
+                _add_late(ears, late.samples[0], late.scale[0], math.sqrt(of_s * of_l) * turn)
+        cut = ears.reshape(2, parts, self.block).transpose(1, 0, 2)
+        return np.asarray(scipy.fft.rfft(cut, self.size))
 
     def _early(self, source: Place, listener: Place) -> np.ndarray:
-        """(partitions, 5, 2, 2 F) float32 spectra of the discrete paths at both ears, by harmonics of the
-        heading."""
+        """(5, 2, samples) float32: the discrete paths at both ears, by harmonics of the heading."""
         field = self._sum
         field[:] = 0.0
         if self.field.paths == "simulated":
             found = self.field.simulated.arriving(source.position, listener.position)
             echogram, _ = self.field.pair(source.points[0], listener.points[0])
             colour, ahead = self._colours(found.energy, found.length, echogram)
-            rows, tone = np.arange(len(colour)), _tones(found.direction)
-            turns, further = self._turns(found.length, ahead), np.zeros(len(rows))
-            _add_paths(field, colour, rows, tone, turns, (self._air, further), self._path)
+            self._add(colour, _tones(found.direction), found.length, ahead, np.zeros(len(colour)))
         else:
             for heard in self.field.heard(source, listener):
+                if len(heard.rows) == 0:
+                    continue
                 pair, tone = self._pair(*heard.pair), _tones(heard.direction)
                 tone *= heard.gain[:, None]
-                turns = self._turns(heard.length, float(pair.ahead))
-                air = self._air, heard.further
-                _add_paths(field, pair.colour, heard.rows, tone, turns, air, self._path)
-        _decode(self._both, field, self._filters)
+                colour = _unpacked(pair.colour, heard.rows)
+                self._add(colour, tone, heard.length, pair.ahead, heard.further)
+        _decode(self._both, field, self._ears(self._early_size))
         response = scipy.fft.irfft(self._both, self._early_size)[:, :, self._lead :]
-        return self._in_parts(response, self._early_parts)
+        return np.ascontiguousarray(response)
 
-    def _in_parts(self, responses: np.ndarray, count: int) -> np.ndarray:
-        """(count, n, 2, 2 F) float32 spectra of the partitions of responses (n, 2, samples), real and imaginary in
-        turn."""
-        parts = np.zeros((count, *responses.shape[:2], self.block), np.float32)
-        for p, partition in enumerate(parts):
-            piece = responses[:, :, p * self.block : (p + 1) * self.block]
-            partition[:, :, : piece.shape[2]] = piece
-        return np.asarray(scipy.fft.rfft(parts, self.size)).view(np.float32)
+    def _add(
+        self, colour: np.ndarray, tone: np.ndarray, length: np.ndarray, ahead: float, further: np.ndarray
+    ) -> None:
+        """Add paths of `length` (k,) m with responses `colour` (k, taps) to the field."""
+        spectra = scipy.fft.rfft(colour, self._early_size)
+        turns = self._turns(length, ahead)
+        _add_paths(self._sum, spectra, tone, turns, (self._air, further), self._path)
 
     def _turns(self, length: np.ndarray, ahead: float) -> np.ndarray:
         """(k,) rad per bin, of paths of `length` (k,) m whose colours begin `ahead` samples before them."""
@@ -210,43 +210,117 @@ class StepRenderer:
     def _colours(
         self, energy: np.ndarray, length: np.ndarray, echogram: Echogram
     ) -> tuple[np.ndarray, float]:
-        """((k, 2, f) float32 spectra of paths of `energy` (k, b) and `length` (k,) m that arrive at 0 s, real and
-        imaginary apart; samples by which they begin before). Bands and air are those of `echogram`."""
+        """((k, taps) float32 responses of paths of `energy` (k, b) and `length` (k,) m that arrive at 0 s; samples by
+        which they begin before). Bands and air are those of `echogram`."""
         # Half a sample late, where the windowed sinc rolls off before Nyquist's frequency: shifts ring no more.
         at, delay = np.full(len(length), 0.5 / self.rate), length / self.field.c
         responses, starts = arrival_filters(energy, at, echogram.bands, self.rate, echogram.air, delay)
-        spectra = scipy.fft.rfft(responses.astype(np.float32), self._early_size)
-        colour = np.stack([spectra.real, spectra.imag], axis=1)
-        ahead = float(starts[0]) - 0.5 if len(starts) else 0.0
-        return np.ascontiguousarray(colour, np.float32), ahead
+        return responses.astype(np.float32), float(starts[0]) - 0.5 if len(starts) else 0.0
 
     def _pair(self, s: int, l: int) -> _Pair:
-        key = (*self._key, s, l)
-        found = self.memory.get(key, lambda: self._make(s, l)._asdict())
-        return _Pair(found["late"], found["colour"], found["ahead"])
+        found = self.memory.get((*self._key, s, l), lambda: self._make(s, l))
+        late, colour = (_Packed(found[name], found[f"{name} scale"]) for name in ("late", "colour"))
+        return _Pair(late, colour, float(found["ahead"]))
 
-    def _make(self, s: int, l: int) -> _Pair:
-        ds = self.field.ds
+    def _make(self, s: int, l: int) -> dict[str, np.ndarray]:
         echogram, paths = self.field.pair(s, l)
-        field = ds.rendered(without_arrivals(echogram), s, l)
-        turns = [(360.0 / HEADINGS * k, 0.0, 0.0) for k in range(HEADINGS)]
-        ears = binaural_rirs(field, self.rate, turns, self._hrtf)
-        late = self._in_parts(ears, -(-ears.shape[2] // self.block))
-        colour, ahead = self._colours(paths.energy, paths.length, echogram)
-        return _Pair(late, colour, np.asarray(ahead))
+        late = _packed(self._late(self.field.ds.rendered(without_arrivals(echogram), s, l)))
+        responses, ahead = self._colours(paths.energy, paths.length, echogram)
+        colour = _packed(responses[:, None])
+        return {
+            "late": late.samples, "late scale": late.scale, "colour": colour.samples,
+            "colour scale": colour.scale, "ahead": np.array(ahead),
+        }  # fmt: skip
+
+    def _late(self, field: np.ndarray) -> np.ndarray:
+        """(1, 5 * 2, n) float32 of a response (9, n): both ears, by harmonics of the heading."""
+        n = field.shape[1]
+        size = int(scipy.fft.next_fast_len(n + self._taps, real=True))
+        both = np.empty((HARMONICS, 2, size // 2 + 1), np.complex64)
+        _decode(both, _apart(scipy.fft.rfft(field, size)), self._ears(size))
+        ears = scipy.fft.irfft(both, size, overwrite_x=True)[:, :, self._lead : self._lead + n]
+        return ears.reshape(1, 2 * HARMONICS, n)
+
+
+def _apart(spectra: np.ndarray) -> np.ndarray:
+    """(…, 2, f) float32 of spectra (…, f): real and imaginary."""
+    return np.ascontiguousarray(np.stack([spectra.real, spectra.imag], axis=-2), np.float32)
+
+
+def _packed(samples: np.ndarray) -> _Packed:
+    """Of samples (g, r, n)."""
+    groups, _, n = samples.shape
+    out = _Packed(
+        np.empty(samples.shape, np.int16), np.empty((groups, -(-n // _STRETCH)), np.float32)
+    )
+    _pack(np.ascontiguousarray(samples, np.float32), *out)
+    return out
+
+
+def _unpacked(packed: _Packed, groups: np.ndarray) -> np.ndarray:
+    """(k, n) float32: the first rows of some groups (k,)."""
+    out = np.empty((len(groups), packed.samples.shape[2]), np.float32)
+    _unpack(out, *packed, groups)
+    return out
 
 
 @kernel
-def _accumulate(out: np.ndarray, late: np.ndarray, weights: np.ndarray) -> None:
-    """Add `late` (P, 5, 2, 2 F) to `out` (P or more, 2, 2 F), `weights` (5,) of its headings or harmonics."""
+def _pack(samples: np.ndarray, out: np.ndarray, scale: np.ndarray) -> None:
+    """Fill `out` (g, r, n) int16 and `scale` (g, stretches) of samples (g, r, n)."""
+    groups, rows, n = samples.shape
+    for g in range(groups):
+        for k in range(scale.shape[1]):
+            first, last = k * _STRETCH, min((k + 1) * _STRETCH, n)
+            peak = np.float32(0.0)
+            for r in range(rows):
+                for i in range(first, last):
+                    peak = max(peak, abs(samples[g, r, i]))
+            scale[g, k] = peak / np.float32(_LARGEST)
+            inverse = np.float32(_LARGEST) / peak if peak > 0.0 else np.float32(0.0)
+            for r in range(rows):
+                for i in range(first, last):
+                    out[g, r, i] = np.int16(np.rint(samples[g, r, i] * inverse))
+
+
+@kernel
+def _unpack(out: np.ndarray, samples: np.ndarray, scale: np.ndarray, groups: np.ndarray) -> None:
+    """Fill `out` (k, n) with the first rows of `groups` (k,)."""
+    for k in range(len(groups)):
+        row = samples[groups[k], 0]
+        for i in range(len(row)):
+            out[k, i] = np.float32(row[i]) * scale[groups[k], i // _STRETCH]
+
+
+@kernel
+def _add_early(out: np.ndarray, early: np.ndarray, weights: np.ndarray) -> None:
+    """Add `early` (5, 2, n) to `out` (2, m), `weights` (5,) of its harmonics; what is beyond m is left out."""
     a, b, c, d, e = weights
-    for p in range(late.shape[0]):
-        for ear in range(2):
-            into = out[p, ear]
-            h0, h1, h2 = late[p, 0, ear], late[p, 1, ear], late[p, 2, ear]
-            h3, h4 = late[p, 3, ear], late[p, 4, ear]
-            for f in range(len(into)):
-                into[f] += a * h0[f] + b * h1[f] + c * h2[f] + d * h3[f] + e * h4[f]
+    for ear in range(2):
+        into = out[ear]
+        h0, h1, h2, h3, h4 = early[0, ear], early[1, ear], early[2, ear], early[3, ear], early[4, ear]
+        for i in range(min(len(into), len(h0))):
+            into[i] += a * h0[i] + b * h1[i] + c * h2[i] + d * h3[i] + e * h4[i]
+
+
+@kernel
+def _add_late(out: np.ndarray, late: np.ndarray, scale: np.ndarray, weights: np.ndarray) -> None:
+    """As `_add_early`, of packed samples (5 * 2, n) with `scale` (stretches,)."""
+    n = min(out.shape[1], late.shape[1])
+    for ear in range(2):
+        into = out[ear]
+        h0, h1, h2 = late[ear], late[2 + ear], late[4 + ear]
+        h3, h4 = late[6 + ear], late[8 + ear]
+        for k in range(-(-n // _STRETCH)):
+            a, b, c = weights[0] * scale[k], weights[1] * scale[k], weights[2] * scale[k]
+            d, e = weights[3] * scale[k], weights[4] * scale[k]
+            for i in range(k * _STRETCH, min((k + 1) * _STRETCH, n)):
+                into[i] += (
+                    a * np.float32(h0[i])
+                    + b * np.float32(h1[i])
+                    + c * np.float32(h2[i])
+                    + d * np.float32(h3[i])
+                    + e * np.float32(h4[i])
+                )
 
 
 @kernel
@@ -262,29 +336,28 @@ def _multiply(out: np.ndarray, spectrum: np.ndarray, part: np.ndarray) -> None:
 def _add_paths(
     out: np.ndarray,
     colour: np.ndarray,
-    rows: np.ndarray,
     tone: np.ndarray,
     turns: np.ndarray,
     air: tuple[np.ndarray, np.ndarray],
     work: np.ndarray,
 ) -> None:
-    """Add paths to the spectra `out` (9, 2, f) of a field: colours of `rows` (k,) of `colour` (n, 2, f), turned by
-    `turns` (k,) rad per bin, times `tone` (k, 9). `air`: logarithm (2, f) of what a metre of it does, and how many
+    """Add paths to the spectra `out` (9, 2, f) of a field: `colour` (k, f), turned by `turns` (k,) rad per bin, times
+    `tone` (k, 9). `air`: logarithm (2, f) of what a metre of it does, and how many
     metres (k,) of it there are more than in the colours; few, so that terms of second order are below 2e-4 at 8 kHz
     for 1.5 m. `work` (2, f): scratch."""
     bins = out.shape[2]
-    for k in range(len(rows)):
+    for k in range(len(colour)):
         u, v = 1.0, 0.0
         step_u, step_v = math.cos(turns[k]), math.sin(turns[k])
-        own_re, own_im = colour[rows[k], 0], colour[rows[k], 1]
+        own = colour[k]
         re, im = work[0], work[1]
         more, air_re, air_im = np.float32(air[1][k]), air[0][0], air[0][1]
         for f in range(bins):
             a, b = np.float32(1.0) + more * air_re[f], more * air_im[f]
             s, t = np.float32(u), np.float32(v)
             p, q = a * s - b * t, a * t + b * s
-            re[f] = own_re[f] * p - own_im[f] * q
-            im[f] = own_re[f] * q + own_im[f] * p
+            re[f] = own[f].real * p - own[f].imag * q
+            im[f] = own[f].real * q + own[f].imag * p
             u, v = u * step_u - v * step_v, u * step_v + v * step_u
         for c in range(9):
             y = tone[k, c]
