@@ -12,8 +12,9 @@ noises are independent, so their powers add as shares. The sum is transformed, n
 colour is kept; level, delay and direction follow the place. What both ears hear of them there is kept by harmonics
 of the heading, for an agent that turns.
 
-What is kept of a pair is rounded to 16 bits with one scale for each `_STRETCH` samples, that of their peak: an error
-of at most 2^-16 of it (-96 dB). It is a fifth of the size of spectra, so that all pairs of a home fit into memory.
+What is kept of a pair is rounded to 16 bits with one scale for each `_STRETCH` samples, that of their peak; to 8
+bits where that stays below 2^-8 of the response's. So the error is at most 2^-16 of the response's peak (-96 dB).
+Spectra were five times as large; of these responses all pairs of a home fit into memory.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ _HARMONIC, _PARTNER = np.array([0, 1, 0, 1, 3, 1, 0, 1, 3]), np.array([0, 3, 2, 
 _MOST_PLACES = 32  # whose discrete paths are kept
 _LEGS = 3  # straight stretches of a discrete path, at most
 _STRETCH = 128  # samples with one scale
-_LARGEST = 32767.0
+_FINE, _COARSE = 32767.0, 127.0  # the largest of 16 and of 8 bits
+_LOUD = 2.0**-8  # of a response's peak, from which 16 bits are kept
 
 
 class Sounding(NamedTuple):
@@ -60,16 +62,30 @@ class Sounding(NamedTuple):
 
 
 class _Packed(NamedTuple):
-    """Samples (g, r, n) in 16 bits; a scale (g, stretches) float32 is for all r rows."""
+    """Samples (g, r, n), of groups whose rows share their scales."""
 
-    samples: np.ndarray
-    scale: np.ndarray
+    fine: np.ndarray  # (g, r, m) int16, the first m
+    coarse: np.ndarray  # (g, r, n - m) int8
+    scale: np.ndarray  # (g, stretches) float32
 
 
 class _Pair(NamedTuple):
     late: _Packed  # (1, 5 * 2, n): reverberation at both ears, by harmonics of the heading
     colour: _Packed  # (paths, 1, taps): responses of its paths, arriving at 0 s
     ahead: float  # samples by which a colour begins before its path arrives
+
+
+class _Response(NamedTuple):
+    """Both ears' response, not yet added up."""
+
+    early: np.ndarray  # (5, 2, n) float32, by harmonics of the heading
+    turn: np.ndarray  # (5,) these harmonics
+    late: list[tuple[_Packed, np.ndarray]]  # of pairs, with weights (5,) of their harmonics
+
+    def parts(self, block: int) -> int:
+        """Partitions of `block` samples."""
+        longest = max(late.fine.shape[2] + late.coarse.shape[2] for late, _ in self.late)
+        return -(-max(longest, self.early.shape[2]) // block)
 
 
 def _harmonics(heading: float) -> np.ndarray:
@@ -107,7 +123,6 @@ class StepRenderer:
                                 ds.manifest.config.simulation.bands, self.rate)  # fmt: skip
         taps = filters.shape[2] + probe[0].shape[1]
         self._early_size = int(scipy.fft.next_fast_len(math.ceil(longest * self.rate) + taps, real=True))
-        self._early_parts = -(-(self._early_size - self._lead) // block)
         self._ears = lru_cache(maxsize=4)(lambda size: _apart(scipy.fft.rfft(filters, size)))
         self._taps = filters.shape[2]
         bins = self._early_size // 2 + 1
@@ -140,14 +155,16 @@ class StepRenderer:
         total = np.zeros((2, self.size // 2 + 1), np.complex64)
         heard = False
         for source in sounding:
-            spectra = [source.signal.spectrum(step - p, self) for p in range(self._parts)]
-            sounding_parts = [p for p, spectrum in enumerate(spectra) if spectrum is not None]
-            if not sounding_parts:
-                continue
-            response = self._response(source.place, listener, heading, sounding_parts[-1] + 1)
-            for p in sounding_parts:
-                _multiply(total, spectra[p], response[p])
-            heard = True
+            response = self._response(source.place, listener, heading)
+            spectra = {
+                p: source.signal.spectrum(step - p, self) for p in range(response.parts(self.block))
+            }
+            spectra = {p: spectrum for p, spectrum in spectra.items() if spectrum is not None}
+            if spectra:
+                partitions = self._partitions(response, max(spectra) + 1)
+                for p, spectrum in spectra.items():
+                    _multiply(total, spectrum, partitions[p])
+                heard = True
         out = np.zeros((2, self.block), np.float32)
         if heard:
             whole = scipy.fft.irfft(total, self.size, overwrite_x=True)
@@ -159,18 +176,24 @@ class StepRenderer:
             out[:, : self.fade] = tail + (out[:, : self.fade] - tail) * self._rise
         return out, np.ascontiguousarray(after)
 
-    def _response(self, source: Place, listener: Place, heading: float, parts: int) -> np.ndarray:
-        """(parts, 2, F) complex64 spectra of the first partitions of the response between two places."""
-        turn = _harmonics(heading)
+    def _response(self, source: Place, listener: Place, heading: float) -> _Response:
+        """What reaches both ears from a place at another."""
         key = source.position.tobytes(), listener.position.tobytes()
         early = self._kept.get(key, lambda: self._early(source, listener))
-        ears = np.zeros((2, parts * self.block), np.float32)
-        _add_early(ears, early, turn)
+        turn, late = _harmonics(heading), []
         for s, of_s in zip(source.points, source.shares, strict=True):
             for l, of_l in zip(listener.points, listener.shares, strict=True):
-                late = self._pair(s, l).late
-                _add_late(ears, late.samples[0], late.scale[0], math.sqrt(of_s * of_l) * turn)
-        cut = ears.reshape(2, parts, self.block).transpose(1, 0, 2)
+                late.append((self._pair(s, l).late, np.float32(math.sqrt(of_s * of_l)) * turn))
+        return _Response(early, turn, late)
+
+    def _partitions(self, response: _Response, count: int) -> np.ndarray:
+        """(count, 2, F) complex64 spectra of the first partitions of a response."""
+        ears = np.zeros((2, count * self.block), np.float32)
+        _add_early(ears, response.early, response.turn)
+        for late, weights in response.late:
+            _add_late(ears, late.fine[0], late.scale[0], weights, 0)
+            _add_late(ears, late.coarse[0], late.scale[0], weights, late.fine.shape[2])
+        cut = ears.reshape(2, count, self.block).transpose(1, 0, 2)
         return np.asarray(scipy.fft.rfft(cut, self.size))
 
     def _early(self, source: Place, listener: Place) -> np.ndarray:
@@ -210,8 +233,8 @@ class StepRenderer:
     def _colours(
         self, energy: np.ndarray, length: np.ndarray, echogram: Echogram
     ) -> tuple[np.ndarray, float]:
-        """((k, taps) float32 responses of paths of `energy` (k, b) and `length` (k,) m that arrive at 0 s; samples by
-        which they begin before). Bands and air are those of `echogram`."""
+        """((k, taps) float32 responses of paths of `energy` (k, b) and `length` (k,) m that arrive at 0 s; samples
+        by which they begin before). Bands and air are those of `echogram`."""
         # Half a sample late, where the windowed sinc rolls off before Nyquist's frequency: shifts ring no more.
         at, delay = np.full(len(length), 0.5 / self.rate), length / self.field.c
         responses, starts = arrival_filters(energy, at, echogram.bands, self.rate, echogram.air, delay)
@@ -219,18 +242,20 @@ class StepRenderer:
 
     def _pair(self, s: int, l: int) -> _Pair:
         found = self.memory.get((*self._key, s, l), lambda: self._make(s, l))
-        late, colour = (_Packed(found[name], found[f"{name} scale"]) for name in ("late", "colour"))
+        late, colour = (
+            _Packed(*(found[f"{name} {part}"] for part in _Packed._fields))
+            for name in ("late", "colour")
+        )
         return _Pair(late, colour, float(found["ahead"]))
 
     def _make(self, s: int, l: int) -> dict[str, np.ndarray]:
         echogram, paths = self.field.pair(s, l)
-        late = _packed(self._late(self.field.ds.rendered(without_arrivals(echogram), s, l)))
-        responses, ahead = self._colours(paths.energy, paths.length, echogram)
-        colour = _packed(responses[:, None])
-        return {
-            "late": late.samples, "late scale": late.scale, "colour": colour.samples,
-            "colour scale": colour.scale, "ahead": np.array(ahead),
-        }  # fmt: skip
+        late = self._late(self.field.ds.rendered(without_arrivals(echogram), s, l))
+        colour, ahead = self._colours(paths.energy, paths.length, echogram)
+        made = {"ahead": np.array(ahead)}
+        for name, samples in (("late", late), ("colour", colour[:, None])):
+            made |= {f"{name} {part}": array for part, array in _packed(samples)._asdict().items()}
+        return made
 
     def _late(self, field: np.ndarray) -> np.ndarray:
         """(1, 5 * 2, n) float32 of a response (9, n): both ears, by harmonics of the heading."""
@@ -249,46 +274,73 @@ def _apart(spectra: np.ndarray) -> np.ndarray:
 
 def _packed(samples: np.ndarray) -> _Packed:
     """Of samples (g, r, n)."""
-    groups, _, n = samples.shape
+    groups, rows, n = samples.shape
+    samples = np.ascontiguousarray(samples, np.float32)
+    scale = np.empty((groups, -(-n // _STRETCH)), np.float32)
+    _peaks(samples, scale)
+    loudest = scale.max(axis=1, keepdims=True, initial=0.0)
+    loud = ((scale >= _LOUD * loudest) & (scale > 0.0)).any(axis=0)
+    stretches = int(np.flatnonzero(loud)[-1]) + 1 if loud.any() else 0
+    scale[:, :stretches] /= np.float32(_FINE)
+    scale[:, stretches:] /= np.float32(_COARSE)
+    split = min(stretches * _STRETCH, n)
     out = _Packed(
-        np.empty(samples.shape, np.int16), np.empty((groups, -(-n // _STRETCH)), np.float32)
+        np.empty((groups, rows, split), np.int16), np.empty((groups, rows, n - split), np.int8), scale
     )
-    _pack(np.ascontiguousarray(samples, np.float32), *out)
+    _round(samples, out.fine, scale, 0)
+    _round(samples, out.coarse, scale, split)
     return out
 
 
 def _unpacked(packed: _Packed, groups: np.ndarray) -> np.ndarray:
     """(k, n) float32: the first rows of some groups (k,)."""
-    out = np.empty((len(groups), packed.samples.shape[2]), np.float32)
-    _unpack(out, *packed, groups)
+    split = packed.fine.shape[2]
+    out = np.empty((len(groups), split + packed.coarse.shape[2]), np.float32)
+    _unpack(out, packed.fine, packed.scale, groups, 0)
+    _unpack(out, packed.coarse, packed.scale, groups, split)
     return out
 
 
 @kernel
-def _pack(samples: np.ndarray, out: np.ndarray, scale: np.ndarray) -> None:
-    """Fill `out` (g, r, n) int16 and `scale` (g, stretches) of samples (g, r, n)."""
+def _peaks(samples: np.ndarray, out: np.ndarray) -> None:
+    """Fill `out` (g, stretches) with the peaks of samples (g, r, n)."""
     groups, rows, n = samples.shape
+    out[:] = 0.0
     for g in range(groups):
-        for k in range(scale.shape[1]):
-            first, last = k * _STRETCH, min((k + 1) * _STRETCH, n)
-            peak = np.float32(0.0)
-            for r in range(rows):
-                for i in range(first, last):
+        for r in range(rows):
+            for k in range(out.shape[1]):
+                peak = out[g, k]
+                for i in range(k * _STRETCH, min((k + 1) * _STRETCH, n)):
                     peak = max(peak, abs(samples[g, r, i]))
-            scale[g, k] = peak / np.float32(_LARGEST)
-            inverse = np.float32(_LARGEST) / peak if peak > 0.0 else np.float32(0.0)
-            for r in range(rows):
-                for i in range(first, last):
-                    out[g, r, i] = np.int16(np.rint(samples[g, r, i] * inverse))
+                out[g, k] = peak
 
 
 @kernel
-def _unpack(out: np.ndarray, samples: np.ndarray, scale: np.ndarray, groups: np.ndarray) -> None:
-    """Fill `out` (k, n) with the first rows of `groups` (k,)."""
+def _round(samples: np.ndarray, out: np.ndarray, scale: np.ndarray, first: int) -> None:
+    """Fill `out` (g, r, m) with samples (g, r, n) from `first` on, where a stretch begins, in units of `scale`."""
+    groups, rows, m = out.shape
+    for g in range(groups):
+        for r in range(rows):
+            for start in range(0, m, _STRETCH):
+                unit = scale[g, (first + start) // _STRETCH]
+                inverse = np.float32(1.0) / unit if unit > 0.0 else np.float32(0.0)
+                row, into = samples[g, r, first + start :], out[g, r, start:]
+                for i in range(min(_STRETCH, m - start)):
+                    into[i] = np.rint(row[i] * inverse)
+
+
+@kernel
+def _unpack(
+    out: np.ndarray, samples: np.ndarray, scale: np.ndarray, groups: np.ndarray, first: int
+) -> None:
+    """Fill `out` (k, n) from `first` on with the first rows of `groups` (k,)."""
+    n = samples.shape[2]
     for k in range(len(groups)):
-        row = samples[groups[k], 0]
-        for i in range(len(row)):
-            out[k, i] = np.float32(row[i]) * scale[groups[k], i // _STRETCH]
+        for start in range(0, n, _STRETCH):
+            unit = scale[groups[k], (first + start) // _STRETCH]
+            row, into = samples[groups[k], 0, start:], out[k, first + start :]
+            for i in range(min(_STRETCH, n - start)):
+                into[i] = np.float32(row[i]) * unit
 
 
 @kernel
@@ -303,23 +355,26 @@ def _add_early(out: np.ndarray, early: np.ndarray, weights: np.ndarray) -> None:
 
 
 @kernel
-def _add_late(out: np.ndarray, late: np.ndarray, scale: np.ndarray, weights: np.ndarray) -> None:
-    """As `_add_early`, of packed samples (5 * 2, n) with `scale` (stretches,)."""
-    n = min(out.shape[1], late.shape[1])
+def _add_late(
+    out: np.ndarray, late: np.ndarray, scale: np.ndarray, weights: np.ndarray, first: int
+) -> None:
+    """As `_add_early`, of packed samples (5 * 2, n) that begin at sample `first`, with `scale` (stretches,)."""
+    n = min(out.shape[1] - first, late.shape[1])
     for ear in range(2):
-        into = out[ear]
         h0, h1, h2 = late[ear], late[2 + ear], late[4 + ear]
         h3, h4 = late[6 + ear], late[8 + ear]
-        for k in range(-(-n // _STRETCH)):
-            a, b, c = weights[0] * scale[k], weights[1] * scale[k], weights[2] * scale[k]
-            d, e = weights[3] * scale[k], weights[4] * scale[k]
-            for i in range(k * _STRETCH, min((k + 1) * _STRETCH, n)):
+        for start in range(0, n, _STRETCH):
+            unit = scale[(first + start) // _STRETCH]
+            a, b, c = weights[0] * unit, weights[1] * unit, weights[2] * unit
+            d, e = weights[3] * unit, weights[4] * unit
+            into = out[ear, first + start :]
+            for i in range(min(_STRETCH, n - start)):
                 into[i] += (
-                    a * np.float32(h0[i])
-                    + b * np.float32(h1[i])
-                    + c * np.float32(h2[i])
-                    + d * np.float32(h3[i])
-                    + e * np.float32(h4[i])
+                    a * np.float32(h0[start + i])
+                    + b * np.float32(h1[start + i])
+                    + c * np.float32(h2[start + i])
+                    + d * np.float32(h3[start + i])
+                    + e * np.float32(h4[start + i])
                 )
 
 
@@ -341,10 +396,10 @@ def _add_paths(
     air: tuple[np.ndarray, np.ndarray],
     work: np.ndarray,
 ) -> None:
-    """Add paths to the spectra `out` (9, 2, f) of a field: `colour` (k, f), turned by `turns` (k,) rad per bin, times
-    `tone` (k, 9). `air`: logarithm (2, f) of what a metre of it does, and how many
-    metres (k,) of it there are more than in the colours; few, so that terms of second order are below 2e-4 at 8 kHz
-    for 1.5 m. `work` (2, f): scratch."""
+    """Add paths to the spectra `out` (9, 2, f) of a field: `colour` (k, f), turned by `turns` (k,) rad per bin,
+    times `tone` (k, 9). `air`: logarithm (2, f) of what a metre of it does, and how many metres (k,) of it there
+    are more than in the colours; few, so that terms of second order are below 2e-4 at 8 kHz for 1.5 m. `work`
+    (2, f): scratch."""
     bins = out.shape[2]
     for k in range(len(colour)):
         u, v = 1.0, 0.0
