@@ -90,8 +90,8 @@ class _Response(NamedTuple):
 
 def _harmonics(heading: float) -> np.ndarray:
     """(5,) float32: 1, and cosine and sine of the heading (rad) and of twice the heading."""
-    x = heading * np.array([0.0, 1.0, 1.0, 2.0, 2.0])
-    return np.where([True, True, False, True, False], np.cos(x), np.sin(x)).astype(np.float32)
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([1.0, c, s, c * c - s * s, 2.0 * c * s], np.float32)
 
 
 def _tones(directions: np.ndarray) -> np.ndarray:
@@ -198,31 +198,30 @@ class StepRenderer:
 
     def _early(self, source: Place, listener: Place) -> np.ndarray:
         """(5, 2, samples) float32: the discrete paths at both ears, by harmonics of the heading."""
-        field = self._sum
-        field[:] = 0.0
+        self._sum[:] = 0.0
         if self.field.paths == "simulated":
             found = self.field.simulated.arriving(source.position, listener.position)
             echogram, _ = self.field.pair(source.points[0], listener.points[0])
             colour, ahead = self._colours(found.energy, found.length, echogram)
-            self._add(colour, _tones(found.direction), found.length, ahead, np.zeros(len(colour)))
+            turns = self._turns(found.length, ahead)
+            self._add(colour, _tones(found.direction), turns, np.zeros(len(colour)))
         else:
-            for heard in self.field.heard(source, listener):
-                if len(heard.rows) == 0:
-                    continue
-                pair, tone = self._pair(*heard.pair), _tones(heard.direction)
-                tone *= heard.gain[:, None]
-                colour = _unpacked(pair.colour, heard.rows)
-                self._add(colour, tone, heard.length, pair.ahead, heard.further)
-        _decode(self._both, field, self._ears(self._early_size))
+            heards = [heard for heard in self.field.heard(source, listener) if len(heard.rows)]
+            if heards:
+                pairs = [self._pair(*heard.pair) for heard in heards]
+                some = list(zip(heards, pairs, strict=True))
+                colour = np.concatenate([_unpacked(pair.colour, heard.rows) for heard, pair in some])
+                turns = np.concatenate([self._turns(heard.length, pair.ahead) for heard, pair in some])
+                tone = _tones(np.concatenate([heard.direction for heard in heards]))
+                tone *= np.concatenate([heard.gain for heard in heards])[:, None]
+                self._add(colour, tone, turns, np.concatenate([heard.further for heard in heards]))
+        _decode(self._both, self._sum, self._ears(self._early_size))
         response = scipy.fft.irfft(self._both, self._early_size)[:, :, self._lead :]
         return np.ascontiguousarray(response)
 
-    def _add(
-        self, colour: np.ndarray, tone: np.ndarray, length: np.ndarray, ahead: float, further: np.ndarray
-    ) -> None:
-        """Add paths of `length` (k,) m with responses `colour` (k, taps) to the field."""
+    def _add(self, colour: np.ndarray, tone: np.ndarray, turns: np.ndarray, further: np.ndarray) -> None:
+        """Add paths with responses `colour` (k, taps) to the field."""
         spectra = scipy.fft.rfft(colour, self._early_size)
-        turns = self._turns(length, ahead)
         _add_paths(self._sum, spectra, tone, turns, (self._air, further), self._path)
 
     def _turns(self, length: np.ndarray, ahead: float) -> np.ndarray:
@@ -241,21 +240,19 @@ class StepRenderer:
         return responses.astype(np.float32), float(starts[0]) - 0.5 if len(starts) else 0.0
 
     def _pair(self, s: int, l: int) -> _Pair:
-        found = self.memory.get((*self._key, s, l), lambda: self._make(s, l))
-        late, colour = (
-            _Packed(*(found[f"{name} {part}"] for part in _Packed._fields))
-            for name in ("late", "colour")
-        )
-        return _Pair(late, colour, float(found["ahead"]))
+        pair = self.memory.get((*self._key, s, l), lambda: self._make(s, l))["pair"].item()
+        assert isinstance(pair, _Pair)
+        return pair
 
     def _make(self, s: int, l: int) -> dict[str, np.ndarray]:
         echogram, paths = self.field.pair(s, l)
-        late = self._late(self.field.ds.rendered(without_arrivals(echogram), s, l))
-        colour, ahead = self._colours(paths.energy, paths.length, echogram)
-        made = {"ahead": np.array(ahead)}
-        for name, samples in (("late", late), ("colour", colour[:, None])):
-            made |= {f"{name} {part}": array for part, array in _packed(samples)._asdict().items()}
-        return made
+        late = _packed(self._late(self.field.ds.rendered(without_arrivals(echogram), s, l)))
+        responses, ahead = self._colours(paths.energy, paths.length, echogram)
+        colour = _packed(responses[:, None])
+        pair = np.empty((), object)
+        pair[()] = _Pair(late, colour, ahead)
+        # The memory counts the bytes of all arrays.
+        return {"pair": pair} | {str(k): array for k, array in enumerate((*late, *colour))}
 
     def _late(self, field: np.ndarray) -> np.ndarray:
         """(1, 5 * 2, n) float32 of a response (9, n): both ears, by harmonics of the heading."""
