@@ -86,10 +86,14 @@ def test_dagger_goes_on_to_the_bit(data: nav.NavData, tmp_path: Path) -> None:
     assert "success_when_silent" in result.summary()
 
 
-def test_sb3_learns_and_is_tested(data: nav.NavData, tmp_path: Path) -> None:
+def test_sb3_learns_and_is_tested(
+    data: nav.NavData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A glimpse: a row of the curve each 64 steps and one at the end, agent and follower in the same episodes, with
-    the follower's success as `evaluate` has it; the stack holds the last steps in order."""
+    the follower's success as `evaluate` has it; the stack holds the last steps in order. The network is tested once
+    per row, and the page's last row is the last row of the curve."""
     pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed")
+    from soundspaces_agents.learn import continuous_ppo
     from soundspaces_agents.learn.continuous_policy import INPUTS
     from soundspaces_agents.learn.continuous_ppo import SbConfig, Stack, run_sb3
 
@@ -98,10 +102,19 @@ def test_sb3_learns_and_is_tested(data: nav.NavData, tmp_path: Path) -> None:
         places=3,
     )  # fmt: skip
     said: list[str] = []
+    tested: list[str] = []
+
+    def evaluate(agent: Any, *args: Any) -> nav.Result:
+        tested.append(agent.name)
+        return nav.evaluate(agent, *args)
+
+    monkeypatch.setattr(continuous_ppo, "evaluate", evaluate)
     page = run_sb3(data, tmp_path, config, 1, said.append, SCENES)
     rows = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
     assert [row["steps"] for row in rows] == [64, 128] and (tmp_path / "continuous_ppo.png").exists()
     assert all(0.0 <= row["test_success"] <= 1.0 and row["processor_s"] > 0.0 for row in rows)
+    assert tested == ["DirectionFollower", "PPO", "PPO"]
+    assert f"| {rows[-1]['test_success']:.3f} " in page.read_text().split("SB3's PPO, at the end ")[1]
     follower = page.read_text().split("| DirectionFollower | ")[1].split()[0]
     assert f"success {follower}" in said[0]
     stack = Stack(2, 16000)

@@ -259,6 +259,18 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
     assert "soundspaces-agents run --preset small --seeds 2 --agents AG,PG" in text
 
 
+def test_the_committed_page_is_made_of_its_record(tmp_path: Path) -> None:
+    """One command makes the page of the episodes beside it, without datasets."""
+    report = pytest.importorskip(
+        "soundspaces_agents.pictures.report", reason="the extra `figures` is not installed"
+    )
+    pages = Path(__file__).parents[1] / "pages"
+    for path in (pages / "record.json.gz", *pages.glob("*.png"), *pages.glob("*.gif")):
+        shutil.copy(path, tmp_path)
+    made = report.write_page(tmp_path / "record.json.gz", print)
+    assert made.read_text() == (pages / "report.md").read_text()
+
+
 def test_a_report_names_what_it_is_of(tmp_path: Path, data: NavData) -> None:
     """Digests of datasets and episodes, by hand; other episodes have another, the same ones written again have not."""
     assert data_lines(tmp_path) == []

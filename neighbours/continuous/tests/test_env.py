@@ -86,6 +86,22 @@ def replay(data: Any, first: int, episodes: int, steps: int, paths: str = "moved
     return compared
 
 
+def test_actions_of_drawn_episodes_are_the_oracles(data: nav.NavData) -> None:
+    """The kernel that counts them walks as the state does: with slides and without, steps that do not divide ways,
+    and more actions than are allowed."""
+    for options in ({}, {"slide": False, "turn_deg": 30.0}, {"forward": 0.37, "max_steps": 9}):
+        env, counts = make(data, sensors=("pose",), **options), set()
+        for seed in range(25):
+            env.reset(seed=seed)
+            state = env.state
+            assert state is not None
+            while not state.over:
+                state.move(state.oracle_action())
+            assert state.episode.actions == state.steps, (options, seed)
+            counts.add(state.steps)
+        assert len(counts) > 4 or options.get("max_steps") == 9
+
+
 @ci_slow
 def test_twin(data: nav.NavData) -> None:
     assert replay(data, 0, 2, 6) >= 10

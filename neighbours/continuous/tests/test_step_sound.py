@@ -9,7 +9,7 @@ import pytest
 import scipy.signal
 from soundspaces_continuous.signals import SourceSignal
 from soundspaces_continuous.sound_field import SoundField
-from soundspaces_continuous.step_renderer import Sounding, StepRenderer
+from soundspaces_continuous.step_renderer import Sounding, StepRenderer, _packed, _unpacked
 
 import soundspaces_sim.nav as nav
 from neighbours.continuous.tests.twin import below
@@ -82,3 +82,23 @@ def test_a_source_on_its_way_is_heard_from_there(field: SoundField) -> None:
         apart = float(np.linalg.norm(source.position - place.position))
         both = np.abs(scipy.signal.hilbert(below(heard, 6000.0))).sum(axis=0)
         assert abs(int(both[:2000].argmax()) - apart / 343.0 * RATE) < 12
+
+
+def test_what_is_kept_is_within_2_to_the_minus_16_of_its_peak() -> None:
+    """Noise that decays by 70 dB, one that is silent, one that ends within a stretch: 16 bits and then 8, each error
+    below half a unit of its own scale, and that below 2^-16 of the response's peak."""
+    rng = np.random.default_rng(5)
+    fall = 10.0 ** (-3.5 * np.arange(8000) / 8000)
+    samples = (rng.standard_normal((3, 1, 8000)) * fall).astype(np.float32)
+    samples[1] = 0.0
+    packed = _packed(samples)
+    assert packed.fine.dtype == np.int16 and packed.coarse.dtype == np.int8
+    assert 4000 < packed.fine.shape[2] < 7000 and packed.fine.shape[2] + packed.coarse.shape[2] == 8000
+    error = np.abs(_unpacked(packed, np.array([2, 0, 1])) - samples[[2, 0, 1], 0])
+    peak = np.abs(samples[[2, 0], 0]).max(axis=1)
+    assert (error[:2].max(axis=1) < 2.0**-16 * peak).all() and (error[2] == 0.0).all()
+    beyond = packed.fine.shape[2]
+    assert error[:2, :beyond].max() < 2.0**-16 * peak.max() and error[:2, beyond:].max() > 0.0
+    short = rng.standard_normal((1, 10, 130)).astype(np.float32)  # all of it loud
+    whole = _packed(short)
+    assert whole.coarse.shape == (1, 10, 0) and whole.scale.shape == (1, 2)

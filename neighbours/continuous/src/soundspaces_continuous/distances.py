@@ -173,6 +173,12 @@ def _spread(field: DistanceField, heap: _Heap, done: np.ndarray) -> None:
 
 @kernel
 def _look_ahead(field: DistanceField, x: float, y: float, out: np.ndarray) -> None:
+    """`look_ahead`, called from Python."""
+    look_ahead(field, x, y, out)
+
+
+@part
+def look_ahead(field: DistanceField, x: float, y: float, out: np.ndarray) -> None:
     """Fill `out` (3,): see `DistanceField.ahead`."""
     out[0], out[1], out[2] = np.inf, x, y
     if _sees(field, x, y, field.goal[0], field.goal[1]):

@@ -98,6 +98,8 @@ def _graph_way(world: ContinuousWorld, start: int, end: int) -> tuple[int, ...]:
 
 def _with_actions(world: ContinuousWorld, episode: ContinuousEpisode) -> ContinuousEpisode:
     """An episode with the number of actions of the oracle, at most those that the options allow."""
+    if len(episode.goals) == 1 and episode.goals[0].speed <= 0.0:
+        return replace(episode, actions=world.oracle_actions(episode))
     state = ContinuousState(world, episode, world.options)
     while not state.over:
         state.move(state.oracle_action())

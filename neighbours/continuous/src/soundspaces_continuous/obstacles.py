@@ -185,6 +185,12 @@ def clearance(obstacles: Obstacles, x: float, y: float) -> float:
 
 @kernel
 def move_disc(obstacles: Obstacles, pose: np.ndarray, way: np.ndarray, slide: bool) -> bool:
+    """`step_disc`, called from Python."""
+    return bool(step_disc(obstacles, pose, way, slide))
+
+
+@part
+def step_disc(obstacles: Obstacles, pose: np.ndarray, way: np.ndarray, slide: bool) -> bool:
     """Move a disc at `pose` (2,) by `way` (2,), in place; whether it touched something. It stops there or, with
     `slide`, goes on along it with what is left of its way in that direction, as Habitat's agents do."""
     first_x, first_y = way

@@ -51,6 +51,7 @@ from soundspaces_sim.parts import (
     point_distance as distance,
     prepare_planes,
     prepare_wedges,
+    unique_rows,
     unoccluded,
     vector_row as row,
     without_arrivals,
@@ -215,9 +216,9 @@ class SoundField:
                 self._joined.clear()
             parts = [self.pair(s, l)[1] for l in points]
             paths = Paths(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-            names, number = np.unique(paths.name, axis=0, return_inverse=True)
+            names, number = unique_rows(paths.name)
             start = np.concatenate([[0], np.cumsum([len(p.kind) for p in parts])])
-            found = self._joined[key] = _Together(paths, start.tolist(), number.ravel(), len(names))
+            found = self._joined[key] = _Together(paths, start.tolist(), number, len(names))
         return found
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What two ears hear during a step, of sources that go on sounding, from spectra that are kept.
+"""What two ears hear during a step, of sources that go on sounding, from responses that are kept.
 
 Conventions: block j of `block` samples is heard during step j, at the pose reached by it. Partitioned convolution
 by overlap and save: a response is cut into partitions of one block, whose spectra multiply those of the source's
@@ -6,11 +6,15 @@ windows; windows reach `fade` samples beyond their block, so a pose's sound goes
 poses' sounds are cross-faded there, linearly in amplitude. An agent thus moves in the first `fade` samples of a
 step and rests for the others; no sample jumps.
 
-Reverberation of a pair is kept as binaural spectra for five headings 72 degrees apart. Order-2 ambisonics have no
-harmonic above the second in the heading, so that any other heading is their trigonometric interpolation, exactly.
-Several points add with the roots of their shares: their noises are independent, so their powers add as shares.
-Of discrete paths the colour is kept; level, delay and direction follow the place. What both ears hear of them there
-is kept by harmonics of the heading, for an agent that turns.
+Reverberation of a pair is kept as what both ears hear, by harmonics of the heading: order-2 ambisonics have none
+above the second, so that five give any heading exactly. Several points add with the roots of their shares: their
+noises are independent, so their powers add as shares. The sum is transformed, not each pair. Of discrete paths the
+colour is kept; level, delay and direction follow the place. What both ears hear of them there is kept by harmonics
+of the heading, for an agent that turns.
+
+What is kept of a pair is rounded to 16 bits with one scale for each `_STRETCH` samples, that of their peak; to 8
+bits where that stays below 2^-8 of the response's. So the error is at most 2^-16 of the response's peak (-96 dB).
+Spectra were five times as large; of these responses all pairs of a home fit into memory.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Generic, NamedTuple, TypeVar
 
@@ -26,7 +31,7 @@ import scipy.fft
 
 from soundspaces_continuous.signals import SourceSignal
 from soundspaces_continuous.sound_field import Place, SoundField
-from soundspaces_sim import ConfigError, Echogram, binaural_rirs
+from soundspaces_sim import ConfigError, Echogram
 from soundspaces_sim.parts import (
     BlockCache,
     air_spectrum,
@@ -38,12 +43,15 @@ from soundspaces_sim.parts import (
     without_arrivals,
 )
 
-HEADINGS = 5  # of kept reverberation, and harmonics of the heading: 2 N + 1 for order N = 2
+HARMONICS = 5  # of the heading: 2 N + 1 for order N = 2
 #: Of each ambisonic channel: where its cosine goes among the harmonics of the heading; the channel of the same
 #: degree and order with sine for cosine.
 _HARMONIC, _PARTNER = np.array([0, 1, 0, 1, 3, 1, 0, 1, 3]), np.array([0, 3, 2, 1, 8, 7, 6, 5, 4])
 _MOST_PLACES = 32  # whose discrete paths are kept
 _LEGS = 3  # straight stretches of a discrete path, at most
+_STRETCH = 128  # samples with one scale
+_FINE, _COARSE = 32767.0, 127.0  # the largest of 16 and of 8 bits
+_LOUD = 2.0**-8  # of a response's peak, from which 16 bits are kept
 
 _Key = TypeVar("_Key", bound=Hashable)
 _Kept = TypeVar("_Kept")
@@ -74,26 +82,37 @@ class Sounding(NamedTuple):
     place: Place
 
 
+class _Packed(NamedTuple):
+    """Samples (g, r, n), of groups whose rows share their scales."""
+
+    fine: np.ndarray  # (g, r, m) int16, the first m
+    coarse: np.ndarray  # (g, r, n - m) int8
+    scale: np.ndarray  # (g, stretches) float32
+
+
 class _Pair(NamedTuple):
-    late: np.ndarray  # (partitions, 5, 2, 2 F) float32, real and imaginary in turn
-    colour: (
-        np.ndarray
-    )  # (paths, 2, f) float32 spectra of its paths, arriving at 0 s, real and imaginary apart
-    ahead: np.ndarray  # (), samples by which a colour begins before its path arrives
+    late: _Packed  # (1, 5 * 2, n): reverberation at both ears, by harmonics of the heading
+    colour: _Packed  # (paths, 1, taps): responses of its paths, arriving at 0 s
+    ahead: float  # samples by which a colour begins before its path arrives
 
 
-def heading_weights(heading: float) -> np.ndarray:
-    """(5,) shares of headings 0, 72, … degrees in a function of the heading (rad) without harmonics above the
-    second:
-    Dirichlet's kernel."""
-    x = heading - np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
-    return np.asarray((1.0 + 2.0 * np.cos(x) + 2.0 * np.cos(2.0 * x)) / HEADINGS)
+class _Response(NamedTuple):
+    """Both ears' response, not yet added up."""
+
+    early: np.ndarray  # (5, 2, n) float32, by harmonics of the heading
+    turn: np.ndarray  # (5,) these harmonics
+    late: list[tuple[_Packed, np.ndarray]]  # of pairs, with weights (5,) of their harmonics
+
+    def parts(self, block: int) -> int:
+        """Partitions of `block` samples."""
+        longest = max(late.fine.shape[2] + late.coarse.shape[2] for late, _ in self.late)
+        return -(-max(longest, self.early.shape[2]) // block)
 
 
 def _harmonics(heading: float) -> np.ndarray:
     """(5,) float32: 1, and cosine and sine of the heading (rad) and of twice the heading."""
-    x = heading * np.array([0.0, 1.0, 1.0, 2.0, 2.0])
-    return np.where([True, True, False, True, False], np.cos(x), np.sin(x)).astype(np.float32)
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([1.0, c, s, c * c - s * s, 2.0 * c * s], np.float32)
 
 
 def _tones(directions: np.ndarray) -> np.ndarray:
@@ -125,12 +144,11 @@ class StepRenderer:
                                 ds.manifest.config.simulation.bands, self.rate)  # fmt: skip
         taps = filters.shape[2] + probe[0].shape[1]
         self._early_size = int(scipy.fft.next_fast_len(math.ceil(longest * self.rate) + taps, real=True))
-        self._early_parts = -(-(self._early_size - self._lead) // block)
-        ears = scipy.fft.rfft(filters.astype(np.float32), self._early_size)
-        self._filters = np.ascontiguousarray(np.stack([ears.real, ears.imag], axis=2), np.float32)
+        self._ears = lru_cache(maxsize=4)(lambda size: _apart(scipy.fft.rfft(filters, size)))
+        self._taps = filters.shape[2]
         bins = self._early_size // 2 + 1
         self._sum, self._path = np.zeros((9, 2, bins), np.float32), np.zeros((2, bins), np.float32)
-        self._both = np.empty((HEADINGS, 2, bins), np.complex64)
+        self._both = np.empty((HARMONICS, 2, bins), np.complex64)
         self._kept: LastUsed[tuple[bytes, bytes], np.ndarray] = LastUsed(_MOST_PLACES)
         self._air = self._air_of_a_metre()
         self._rise = ((np.arange(fade) + 0.5) / fade).astype(np.float32)
@@ -155,16 +173,19 @@ class StepRenderer:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(2, block) float32 during step `step` at a place, facing `heading` rad; and the tail (2, fade)
         that goes on into the next step. `tail`: that of the step before; None: there was none."""
-        bins = self.size // 2 + 1
-        total = np.zeros((2, bins), np.complex64)
+        total = np.zeros((2, self.size // 2 + 1), np.complex64)
         heard = False
         for source in sounding:
             response = self._response(source.place, listener, heading)
-            spectra = [source.signal.spectrum(step - p, self) for p in range(len(response))]
-            for partition, spectrum in zip(response, spectra, strict=True):
-                if spectrum is not None:
-                    _multiply(total, spectrum, partition)
-                    heard = True
+            spectra = {
+                p: source.signal.spectrum(step - p, self) for p in range(response.parts(self.block))
+            }
+            spectra = {p: spectrum for p, spectrum in spectra.items() if spectrum is not None}
+            if spectra:
+                partitions = self._partitions(response, max(spectra) + 1)
+                for p, spectrum in spectra.items():
+                    _multiply(total, spectrum, partitions[p])
+                heard = True
         out = np.zeros((2, self.block), np.float32)
         if heard:
             whole = scipy.fft.irfft(total, self.size, overwrite_x=True)
@@ -176,52 +197,53 @@ class StepRenderer:
             out[:, : self.fade] = tail + (out[:, : self.fade] - tail) * self._rise
         return out, np.ascontiguousarray(after)
 
-    def _response(self, source: Place, listener: Place, heading: float) -> np.ndarray:
-        """(partitions, 2, F) complex64 spectra of the response between two places."""
-        turn = heading_weights(heading)
+    def _response(self, source: Place, listener: Place, heading: float) -> _Response:
+        """What reaches both ears from a place at another."""
         key = source.position.tobytes(), listener.position.tobytes()
         early = self._kept.get(key, lambda: self._early(source, listener))
-        first = self._pair(source.points[0], listener.points[0])
-        parts = max(len(first.late), len(early))
-        out = np.zeros((parts, 2, 2 * (self.size // 2 + 1)), np.float32)
-        _accumulate(out, early, _harmonics(heading))
+        turn, late = _harmonics(heading), []
         for s, of_s in zip(source.points, source.shares, strict=True):
             for l, of_l in zip(listener.points, listener.shares, strict=True):
-                weights = (math.sqrt(of_s * of_l) * turn).astype(np.float32)
-                _accumulate(out, self._pair(s, l).late, weights)
-        return out.view(np.complex64)
+                late.append((self._pair(s, l).late, np.float32(math.sqrt(of_s * of_l)) * turn))
+        return _Response(early, turn, late)
+
+    def _partitions(self, response: _Response, count: int) -> np.ndarray:
+        """(count, 2, F) complex64 spectra of the first partitions of a response."""
+        ears = np.zeros((2, count * self.block), np.float32)
+        _add_early(ears, response.early, response.turn)
+        for late, weights in response.late:
+            _add_late(ears, late.fine[0], late.scale[0], weights, 0)
+            _add_late(ears, late.coarse[0], late.scale[0], weights, late.fine.shape[2])
+        cut = ears.reshape(2, count, self.block).transpose(1, 0, 2)
+        return np.asarray(scipy.fft.rfft(cut, self.size))
 
     def _early(self, source: Place, listener: Place) -> np.ndarray:
-        """(partitions, 5, 2, 2 F) float32 spectra of the discrete paths at both ears, by harmonics of the
-        heading."""
-        field = self._sum
-        field[:] = 0.0
+        """(5, 2, samples) float32: the discrete paths at both ears, by harmonics of the heading."""
+        self._sum[:] = 0.0
         if self.field.paths == "simulated":
             found = self.field.simulated.arriving(source.position, listener.position)
             echogram, _ = self.field.pair(source.points[0], listener.points[0])
             colour, ahead = self._colours(found.energy, found.length, echogram)
-            rows, tone = np.arange(len(colour)), _tones(found.direction)
-            turns, further = self._turns(found.length, ahead), np.zeros(len(rows))
-            _add_paths(field, colour, rows, tone, turns, (self._air, further), self._path)
+            turns = self._turns(found.length, ahead)
+            self._add(colour, _tones(found.direction), turns, np.zeros(len(colour)))
         else:
-            for heard in self.field.heard(source, listener):
-                pair, tone = self._pair(*heard.pair), _tones(heard.direction)
-                tone *= heard.gain[:, None]
-                turns = self._turns(heard.length, float(pair.ahead))
-                air = self._air, heard.further
-                _add_paths(field, pair.colour, heard.rows, tone, turns, air, self._path)
-        _decode(self._both, field, self._filters)
+            heards = [heard for heard in self.field.heard(source, listener) if len(heard.rows)]
+            if heards:
+                pairs = [self._pair(*heard.pair) for heard in heards]
+                some = list(zip(heards, pairs, strict=True))
+                colour = np.concatenate([_unpacked(pair.colour, heard.rows) for heard, pair in some])
+                turns = np.concatenate([self._turns(heard.length, pair.ahead) for heard, pair in some])
+                tone = _tones(np.concatenate([heard.direction for heard in heards]))
+                tone *= np.concatenate([heard.gain for heard in heards])[:, None]
+                self._add(colour, tone, turns, np.concatenate([heard.further for heard in heards]))
+        _decode(self._both, self._sum, self._ears(self._early_size))
         response = scipy.fft.irfft(self._both, self._early_size)[:, :, self._lead :]
-        return self._in_parts(response, self._early_parts)
+        return np.ascontiguousarray(response)
 
-    def _in_parts(self, responses: np.ndarray, count: int) -> np.ndarray:
-        """(count, n, 2, 2 F) float32 spectra of the partitions of responses (n, 2, samples), real and imaginary in
-        turn."""
-        parts = np.zeros((count, *responses.shape[:2], self.block), np.float32)
-        for p, partition in enumerate(parts):
-            piece = responses[:, :, p * self.block : (p + 1) * self.block]
-            partition[:, :, : piece.shape[2]] = piece
-        return np.asarray(scipy.fft.rfft(parts, self.size)).view(np.float32)
+    def _add(self, colour: np.ndarray, tone: np.ndarray, turns: np.ndarray, further: np.ndarray) -> None:
+        """Add paths with responses `colour` (k, taps) to the field."""
+        spectra = scipy.fft.rfft(colour, self._early_size)
+        _add_paths(self._sum, spectra, tone, turns, (self._air, further), self._path)
 
     def _turns(self, length: np.ndarray, ahead: float) -> np.ndarray:
         """(k,) rad per bin, of paths of `length` (k,) m whose colours begin `ahead` samples before them."""
@@ -231,43 +253,147 @@ class StepRenderer:
     def _colours(
         self, energy: np.ndarray, length: np.ndarray, echogram: Echogram
     ) -> tuple[np.ndarray, float]:
-        """((k, 2, f) float32 spectra of paths of `energy` (k, b) and `length` (k,) m that arrive at 0 s, real and
-        imaginary apart; samples by which they begin before). Bands and air are those of `echogram`."""
+        """((k, taps) float32 responses of paths of `energy` (k, b) and `length` (k,) m that arrive at 0 s; samples
+        by which they begin before). Bands and air are those of `echogram`."""
         # Half a sample late, where the windowed sinc rolls off before Nyquist's frequency: shifts ring no more.
         at, delay = np.full(len(length), 0.5 / self.rate), length / self.field.c
         responses, starts = arrival_filters(energy, at, echogram.bands, self.rate, echogram.air, delay)
-        spectra = scipy.fft.rfft(responses.astype(np.float32), self._early_size)
-        colour = np.stack([spectra.real, spectra.imag], axis=1)
-        ahead = float(starts[0]) - 0.5 if len(starts) else 0.0
-        return np.ascontiguousarray(colour, np.float32), ahead
+        return responses.astype(np.float32), float(starts[0]) - 0.5 if len(starts) else 0.0
 
     def _pair(self, s: int, l: int) -> _Pair:
-        key = (*self._key, s, l)
-        found = self.memory.get(key, lambda: self._make(s, l)._asdict())
-        return _Pair(found["late"], found["colour"], found["ahead"])
+        pair = self.memory.get((*self._key, s, l), lambda: self._make(s, l))["pair"].item()
+        assert isinstance(pair, _Pair)
+        return pair
 
-    def _make(self, s: int, l: int) -> _Pair:
-        ds = self.field.ds
+    def _make(self, s: int, l: int) -> dict[str, np.ndarray]:
         echogram, paths = self.field.pair(s, l)
-        field = ds.rendered(without_arrivals(echogram), s, l)
-        turns = [(360.0 / HEADINGS * k, 0.0, 0.0) for k in range(HEADINGS)]
-        ears = binaural_rirs(field, self.rate, turns, self._hrtf)
-        late = self._in_parts(ears, -(-ears.shape[2] // self.block))
-        colour, ahead = self._colours(paths.energy, paths.length, echogram)
-        return _Pair(late, colour, np.asarray(ahead))
+        late = _packed(self._late(self.field.ds.rendered(without_arrivals(echogram), s, l)))
+        responses, ahead = self._colours(paths.energy, paths.length, echogram)
+        colour = _packed(responses[:, None])
+        pair = np.empty((), object)
+        pair[()] = _Pair(late, colour, ahead)
+        # The memory counts the bytes of all arrays.
+        return {"pair": pair} | {str(k): array for k, array in enumerate((*late, *colour))}
+
+    def _late(self, field: np.ndarray) -> np.ndarray:
+        """(1, 5 * 2, n) float32 of a response (9, n): both ears, by harmonics of the heading."""
+        n = field.shape[1]
+        size = int(scipy.fft.next_fast_len(n + self._taps, real=True))
+        both = np.empty((HARMONICS, 2, size // 2 + 1), np.complex64)
+        _decode(both, _apart(scipy.fft.rfft(field, size)), self._ears(size))
+        ears = scipy.fft.irfft(both, size, overwrite_x=True)[:, :, self._lead : self._lead + n]
+        return ears.reshape(1, 2 * HARMONICS, n)
+
+
+def _apart(spectra: np.ndarray) -> np.ndarray:
+    """(…, 2, f) float32 of spectra (…, f): real and imaginary."""
+    return np.ascontiguousarray(np.stack([spectra.real, spectra.imag], axis=-2), np.float32)
+
+
+def _packed(samples: np.ndarray) -> _Packed:
+    """Of samples (g, r, n)."""
+    groups, rows, n = samples.shape
+    samples = np.ascontiguousarray(samples, np.float32)
+    scale = np.empty((groups, -(-n // _STRETCH)), np.float32)
+    _peaks(samples, scale)
+    loudest = scale.max(axis=1, keepdims=True, initial=0.0)
+    loud = ((scale >= _LOUD * loudest) & (scale > 0.0)).any(axis=0)
+    stretches = int(np.flatnonzero(loud)[-1]) + 1 if loud.any() else 0
+    scale[:, :stretches] /= np.float32(_FINE)
+    scale[:, stretches:] /= np.float32(_COARSE)
+    split = min(stretches * _STRETCH, n)
+    out = _Packed(
+        np.empty((groups, rows, split), np.int16), np.empty((groups, rows, n - split), np.int8), scale
+    )
+    _round(samples, out.fine, scale, 0)
+    _round(samples, out.coarse, scale, split)
+    return out
+
+
+def _unpacked(packed: _Packed, groups: np.ndarray) -> np.ndarray:
+    """(k, n) float32: the first rows of some groups (k,)."""
+    split = packed.fine.shape[2]
+    out = np.empty((len(groups), split + packed.coarse.shape[2]), np.float32)
+    _unpack(out, packed.fine, packed.scale, groups, 0)
+    _unpack(out, packed.coarse, packed.scale, groups, split)
+    return out
 
 
 @kernel
-def _accumulate(out: np.ndarray, late: np.ndarray, weights: np.ndarray) -> None:
-    """Add `late` (P, 5, 2, 2 F) to `out` (P or more, 2, 2 F), `weights` (5,) of its headings or harmonics."""
+def _peaks(samples: np.ndarray, out: np.ndarray) -> None:
+    """Fill `out` (g, stretches) with the peaks of samples (g, r, n)."""
+    groups, rows, n = samples.shape
+    out[:] = 0.0
+    for g in range(groups):
+        for r in range(rows):
+            for k in range(out.shape[1]):
+                peak = out[g, k]
+                for i in range(k * _STRETCH, min((k + 1) * _STRETCH, n)):
+                    peak = max(peak, abs(samples[g, r, i]))
+                out[g, k] = peak
+
+
+@kernel
+def _round(samples: np.ndarray, out: np.ndarray, scale: np.ndarray, first: int) -> None:
+    """Fill `out` (g, r, m) with samples (g, r, n) from `first` on, where a stretch begins, in units of `scale`."""
+    groups, rows, m = out.shape
+    for g in range(groups):
+        for r in range(rows):
+            for start in range(0, m, _STRETCH):
+                unit = scale[g, (first + start) // _STRETCH]
+                inverse = np.float32(1.0) / unit if unit > 0.0 else np.float32(0.0)
+                row, into = samples[g, r, first + start :], out[g, r, start:]
+                for i in range(min(_STRETCH, m - start)):
+                    into[i] = np.rint(row[i] * inverse)
+
+
+@kernel
+def _unpack(
+    out: np.ndarray, samples: np.ndarray, scale: np.ndarray, groups: np.ndarray, first: int
+) -> None:
+    """Fill `out` (k, n) from `first` on with the first rows of `groups` (k,)."""
+    n = samples.shape[2]
+    for k in range(len(groups)):
+        for start in range(0, n, _STRETCH):
+            unit = scale[groups[k], (first + start) // _STRETCH]
+            row, into = samples[groups[k], 0, start:], out[k, first + start :]
+            for i in range(min(_STRETCH, n - start)):
+                into[i] = np.float32(row[i]) * unit
+
+
+@kernel
+def _add_early(out: np.ndarray, early: np.ndarray, weights: np.ndarray) -> None:
+    """Add `early` (5, 2, n) to `out` (2, m), `weights` (5,) of its harmonics; what is beyond m is left out."""
     a, b, c, d, e = weights
-    for p in range(late.shape[0]):
-        for ear in range(2):
-            into = out[p, ear]
-            h0, h1, h2 = late[p, 0, ear], late[p, 1, ear], late[p, 2, ear]
-            h3, h4 = late[p, 3, ear], late[p, 4, ear]
-            for f in range(len(into)):
-                into[f] += a * h0[f] + b * h1[f] + c * h2[f] + d * h3[f] + e * h4[f]
+    for ear in range(2):
+        into = out[ear]
+        h0, h1, h2, h3, h4 = early[0, ear], early[1, ear], early[2, ear], early[3, ear], early[4, ear]
+        for i in range(min(len(into), len(h0))):
+            into[i] += a * h0[i] + b * h1[i] + c * h2[i] + d * h3[i] + e * h4[i]
+
+
+@kernel
+def _add_late(
+    out: np.ndarray, late: np.ndarray, scale: np.ndarray, weights: np.ndarray, first: int
+) -> None:
+    """As `_add_early`, of packed samples (5 * 2, n) that begin at sample `first`, with `scale` (stretches,)."""
+    n = min(out.shape[1] - first, late.shape[1])
+    for ear in range(2):
+        h0, h1, h2 = late[ear], late[2 + ear], late[4 + ear]
+        h3, h4 = late[6 + ear], late[8 + ear]
+        for start in range(0, n, _STRETCH):
+            unit = scale[(first + start) // _STRETCH]
+            a, b, c = weights[0] * unit, weights[1] * unit, weights[2] * unit
+            d, e = weights[3] * unit, weights[4] * unit
+            into = out[ear, first + start :]
+            for i in range(min(_STRETCH, n - start)):
+                into[i] += (
+                    a * np.float32(h0[start + i])
+                    + b * np.float32(h1[start + i])
+                    + c * np.float32(h2[start + i])
+                    + d * np.float32(h3[start + i])
+                    + e * np.float32(h4[start + i])
+                )
 
 
 @kernel
@@ -283,29 +409,28 @@ def _multiply(out: np.ndarray, spectrum: np.ndarray, part: np.ndarray) -> None:
 def _add_paths(
     out: np.ndarray,
     colour: np.ndarray,
-    rows: np.ndarray,
     tone: np.ndarray,
     turns: np.ndarray,
     air: tuple[np.ndarray, np.ndarray],
     work: np.ndarray,
 ) -> None:
-    """Add paths to the spectra `out` (9, 2, f) of a field: colours of `rows` (k,) of `colour` (n, 2, f), turned by
-    `turns` (k,) rad per bin, times `tone` (k, 9). `air`: logarithm (2, f) of what a metre of it does, and how many
-    metres (k,) of it there are more than in the colours; few, so that terms of second order are below 2e-4 at 8 kHz
-    for 1.5 m. `work` (2, f): scratch."""
+    """Add paths to the spectra `out` (9, 2, f) of a field: `colour` (k, f), turned by `turns` (k,) rad per bin,
+    times `tone` (k, 9). `air`: logarithm (2, f) of what a metre of it does, and how many metres (k,) of it there
+    are more than in the colours; few, so that terms of second order are below 2e-4 at 8 kHz for 1.5 m. `work`
+    (2, f): scratch."""
     bins = out.shape[2]
-    for k in range(len(rows)):
+    for k in range(len(colour)):
         u, v = 1.0, 0.0
         step_u, step_v = math.cos(turns[k]), math.sin(turns[k])
-        own_re, own_im = colour[rows[k], 0], colour[rows[k], 1]
+        own = colour[k]
         re, im = work[0], work[1]
         more, air_re, air_im = np.float32(air[1][k]), air[0][0], air[0][1]
         for f in range(bins):
             a, b = np.float32(1.0) + more * air_re[f], more * air_im[f]
             s, t = np.float32(u), np.float32(v)
             p, q = a * s - b * t, a * t + b * s
-            re[f] = own_re[f] * p - own_im[f] * q
-            im[f] = own_re[f] * q + own_im[f] * p
+            re[f] = own[f].real * p - own[f].imag * q
+            im[f] = own[f].real * q + own[f].imag * p
             u, v = u * step_u - v * step_v, u * step_v + v * step_u
         for c in range(9):
             y = tone[k, c]

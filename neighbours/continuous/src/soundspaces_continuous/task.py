@@ -96,7 +96,7 @@ class ContinuousOptions:
     noises : sounds of the bank, one of which is around in every episode, at both ears from other places of its clip
     noise_db : its RMS in dB below that of a dry sound of RMS 1 at 1 m in the open
     depth_size : pixels per side
-    memory : bytes of spectra that are kept
+    memory : bytes of responses between points that are kept
     """
 
     data: str | Path | NavData = field(compare=False)

@@ -10,12 +10,13 @@ import numpy as np
 from soundspaces_continuous.distances import CELL, DistanceField, Lattice, fill_distances
 from soundspaces_continuous.episodes import ContinuousEpisode, SoundSource
 from soundspaces_continuous.obstacles import SKIN, are_free, least_clearances, make_obstacles, move_disc
+from soundspaces_continuous.oracle_walk import Gait, Ground, Walker, count_actions, has_ground
 from soundspaces_continuous.sound_field import Place, SoundField
 from soundspaces_continuous.step_renderer import StepRenderer
 from soundspaces_continuous.task import ContinuousOptions
 from soundspaces_sim import GraphConfig, PointError, RirDataset, Scene
 from soundspaces_sim.nav import NavigationGraph
-from soundspaces_sim.parts import BlockCache, EpisodeError, Geometry, cast_ray, check_scene, kernel
+from soundspaces_sim.parts import BlockCache, EpisodeError, check_scene, kernel
 
 
 class Floor:
@@ -32,6 +33,8 @@ class Floor:
         )
         self.distances = lru_cache(maxsize=256)(self._distances)
         self._pose, self._way = np.empty(2), np.empty(2)
+        x, y, z = scene.center.tolist()
+        self.ground = Ground(scene.geometry, (x, y, z), height + agent.step, agent.step)
 
     def move(self, x: float, y: float, dx: float, dy: float, slide: bool) -> tuple[float, float, bool]:
         """Where a step by (dx, dy) m ends, and whether it touched something or lacked a floor."""
@@ -43,10 +46,8 @@ class Floor:
 
     def is_floor(self, places: np.ndarray) -> np.ndarray:
         """(N,) whether there is a floor within a step of this one at (N, 2) m."""
-        below = np.empty((len(places), 3))
-        below[:, :2], below[:, 2] = places, self.height + self.agent.step
         out = np.empty(len(places), np.bool_)
-        _meets_below(self.scene.geometry, below - self.scene.center, 2.0 * self.agent.step + SKIN, out)
+        _have_ground(self.ground, np.ascontiguousarray(places, float), out)
         return out
 
     def can_stand(self, places: np.ndarray) -> np.ndarray:
@@ -89,11 +90,10 @@ class Floor:
 
 
 @kernel
-def _meets_below(geometry: Geometry, places: np.ndarray, reach: float, out: np.ndarray) -> None:
-    """Fill `out` (N,): whether a ray downwards from places (N, 3) meets a surface within `reach` m."""
+def _have_ground(ground: Ground, places: np.ndarray, out: np.ndarray) -> None:
+    """Fill `out` (N,): whether there is a floor at places (N, 2) m."""
     for k in range(len(places)):
-        origin = places[k, 0], places[k, 1], places[k, 2]
-        out[k] = cast_ray(geometry, origin, (0.0, 0.0, -1.0), reach)[1] >= 0
+        out[k] = has_ground(ground, places[k, 0], places[k, 1])
 
 
 class ContinuousWorld:
@@ -169,6 +169,19 @@ class ContinuousWorld:
             if whole < best[0]:
                 best = (whole, ahead_x, ahead_y)
         return best
+
+    def oracle_actions(self, episode: ContinuousEpisode) -> int:
+        """Actions of the oracle of an episode whose one goal rests, at most those that the options allow."""
+        (goal,), options = episode.goals, self.options
+        x, y, z = episode.start
+        floor = self.floor_at(z)
+        goal_x, goal_y = self.points[goal.route[0], :2].tolist()
+        gait = Gait(
+            options.forward, options.turn, options.slide, options.success_distance, options.max_steps
+        )
+        facing = math.radians(episode.heading) % (2.0 * math.pi)
+        walker = Walker(np.array([x, y]), facing, np.empty(2), np.empty(3))
+        return int(count_actions(floor.ground, floor.distances(goal_x, goal_y), gait, walker))
 
     def check(self, episode: ContinuousEpisode) -> None:
         """Raise `EpisodeError` or `PointError` unless an episode can be walked here."""

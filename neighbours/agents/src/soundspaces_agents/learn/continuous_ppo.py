@@ -153,7 +153,7 @@ class _Watch(BaseCallback):
         super().__init__()
         self.config, self.path, self.test, self.log = config, path, test, log
         self._recent: deque[tuple[float, float]] = deque(maxlen=_RECENT)
-        self._episodes, self.written = 0, -1
+        self._episodes = 0
         self._testing_s = 0.0
         self._began = time.process_time()
 
@@ -162,17 +162,16 @@ class _Watch(BaseCallback):
             if done:
                 self._episodes += 1
                 self._recent.append((info["success"], info["spl"]))
-        if self.num_timesteps % self.config.every < self.config.agents:
+        due = self.num_timesteps % self.config.every < self.config.agents
+        if due and self.num_timesteps < self.config.steps:  # the last row is of the network that has learnt all
             self.write()
         return True
 
-    def write(self) -> None:
-        """A row: what the last episodes of training were, and a test; one for a number of steps."""
-        if self.written == self.num_timesteps:
-            return
-        self.written = self.num_timesteps
+    def write(self) -> Result:
+        """A row: what the last episodes of training were, and a test, which is returned."""
         began = time.process_time()
-        rows = self.test(self.model.policy).rows
+        tested = self.test(self.model.policy)
+        rows = tested.rows
         self._testing_s += time.process_time() - began
         success, spl = np.mean(list(self._recent) or [(0.0, 0.0)], axis=0)
         spent = time.process_time() - self._began - self._testing_s
@@ -188,6 +187,7 @@ class _Watch(BaseCallback):
         with open(self.path, "a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         self.log(", ".join(f"{name} {value:.3g}" for name, value in row.items()))
+        return tested
 
 
 def run_sb3(
@@ -238,9 +238,9 @@ def run_sb3(
 
     watch = _Watch(config, out / CURVE, test, log)
     model.learn(config.steps, callback=watch)
-    watch.write()
+    last = watch.write()
     model.save(out / "ppo.zip")
-    return _write_page(out, config, follower, test(model.policy))
+    return _write_page(out, config, follower, last)
 
 
 def _write_page(out: Path, config: SbConfig, follower: Result, last: Result) -> Path:
