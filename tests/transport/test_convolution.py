@@ -33,12 +33,13 @@ def _accumulated(rows: np.ndarray, columns: np.ndarray, kind: Kind = PLAIN) -> n
     out = np.zeros((1, p, q, T - FIRST), np.float32)
     scratch = np.empty(products * p * q, np.float32)
     accumulate(make_convolution(T, FIRST), rows[:, None], columns[:, None], scratch, out, kind=kind)
-    return out[0]
+    return np.asarray(out[0])
 
 
 def _convolved(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """(P, Q, T - FIRST) convolutions of histograms (P, T, patches) and (Q, T, patches), summed over patches."""
-    return _accumulated(*_spectra(rows, columns))
+    left, right = _spectra(rows, columns)
+    return _accumulated(left, right)
 
 
 def test_convolutions_are_sums() -> None:
@@ -92,6 +93,6 @@ def test_several_tables_are_each_with_its_own() -> None:
         out,
         some,
     )
-    for table, sides in zip(out, ((left, right), (left[::-1], right[::-1])), strict=True):
-        np.testing.assert_array_equal(table[:, 5:30, FIRST:], _accumulated(*sides)[:, 5:30])
+    for table, (row, column) in zip(out, ((left, right), (left[::-1], right[::-1])), strict=True):
+        np.testing.assert_array_equal(table[:, 5:30, FIRST:], _accumulated(row, column)[:, 5:30])
     assert not (out[:, :, :5].any() or out[:, :, 30:].any() or out[..., :FIRST].any())

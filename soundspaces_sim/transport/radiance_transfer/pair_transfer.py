@@ -141,20 +141,6 @@ def transfer(plan: TransferPlan, a: Endpoints, b: Endpoints) -> Both:
     return Both(there, back, products)
 
 
-def transfer_one_way(
-    plan: TransferPlan, of: Endpoints, to: Endpoints, drop_rounding: bool = False
-) -> np.ndarray:
-    """(b, P, Q, late bins) energies from the points `of` to the points `to`."""
-    found, workspace = _nothing(plan, of, to), _make_workspace(plan, of.points, to.points)
-    for chunk in range(len(plan.groups.count)):
-        batches = _by_batch(plan, of, chunk), _by_batch(plan, to, chunk)
-        _add_chunk(plan, of, to, chunk, workspace, found, batches)
-    _subtract_own(plan, of, to, found.energy)
-    if drop_rounding:
-        _drop_rounding(plan, found.energy)
-    return found.energy
-
-
 def _nothing(plan: TransferPlan, of: Endpoints, to: Endpoints) -> Transfer:
     directed = plan.bands, of.points, plan.coarse.steps.rows, len(plan.directed.patch)
     shape = plan.bands, of.points, to.points, len(plan.edges) - 1
