@@ -10,8 +10,7 @@ from scipy import optimize
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.vec3 import row
-from soundspaces_sim.transport.arrivals.connect import Context, Scratch, _double_may_be_heard, _Ends
-from soundspaces_sim.transport.arrivals.images import End
+from soundspaces_sim.transport.arrivals.connect import Context, Scratch, _double_may_be_heard
 from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
 from soundspaces_sim.transport.arrivals.technique import context_of, direct_sound
 from soundspaces_sim.transport.arrivals.two_edges import meets_both, two_edge_field, two_edge_path
@@ -95,18 +94,16 @@ def test_paths_by_two_edges_are_shortest() -> None:
 def _bounded(context: Context, scratch: Scratch, found: np.ndarray) -> None:
     """Counts (2,) of paths by two edges between all points whose lowest wave number has the field of (T34), and of
     those that may be heard where half of that energy is."""
-    points, edges = context.points, context.edges
-    seen = points.seen
-    for i in range(context.second):
-        for j in range(context.second, len(points.points)):
-            p, q = row(points.points, i), row(points.points, j)
-            ends = _Ends(End(p, p, -1), End(q, q, -1), points.ends[i], points.ends[j], False, 0.0)
-            for n in range(seen.link_start[ends.u], seen.link_start[ends.u + 1]):
-                for m in range(seen.link_start[ends.v], seen.link_start[ends.v + 1]):
-                    if edges.links.reverse[seen.link[m]] != seen.link[n]:
+    a, b, edges = context.a, context.b, context.edges
+    for i in range(len(a.points)):
+        for j in range(len(b.points)):
+            u, v = a.ends[i], b.ends[j]
+            for n in range(a.seen.link_start[u], a.seen.link_start[u + 1]):
+                for m in range(b.seen.link_start[v], b.seen.link_start[v + 1]):
+                    if edges.links.reverse[b.seen.link[m]] != a.seen.link[n]:
                         continue
-                    e, f = seen.wedge[seen.link_row[n]], seen.wedge[seen.link_row[m]]
-                    ok, x = two_edge_path(edges.wedges, e, f, p, q)
+                    e, f = a.seen.wedge[a.seen.link_row[n]], b.seen.wedge[b.seen.link_row[m]]
+                    ok, x = two_edge_path(edges.wedges, e, f, row(a.points, i), row(b.points, j))
                     if not (ok and meets_both(edges.wedges, x)):
                         continue
                     scratch.least[:] = 0.0
@@ -116,7 +113,7 @@ def _bounded(context: Context, scratch: Scratch, found: np.ndarray) -> None:
                     for k in range(len(scratch.least)):
                         scratch.least[k] = 0.5 * abs(scratch.field[k, 0]) ** 2
                     found[0] += 1
-                    if _double_may_be_heard(context, ends, n, m, scratch.least):
+                    if _double_may_be_heard(context, a.seen, b.seen, n, m, 0.0, False, scratch.least):
                         found[1] += 1
 
 

@@ -22,11 +22,13 @@ from soundspaces_sim.transport.arrivals.field import (
     EdgePath,
     Spectrum,
     Terms,
+    Turn,
     detours_of_ends,
     field_at,
     front_of,
     most_of_edge,
     most_share,
+    terms_by_turns,
     terms_of,
 )
 from soundspaces_sim.transport.arrivals.for_each_pair import FoundPath, PathSlots, store
@@ -83,12 +85,11 @@ from soundspaces_sim.transport.bsdf.surface import specular_reflectance
 
 _KINDS = np.array(EDGE_KINDS)
 _DIRECT = -1  # kind of the direct sound
-_HEARD = 4e-3  # of the energy that a pair may have: what is diffracted fades in from so much on
-_HEARD_IMAGES = 6e-3  # the same where an end is an image
-_SCREEN = 20.0 / math.pi  # Maekawa's loss by a screen, 20 N, for a phase of the detour N = k detour / pi
+_HEARD = 1e-3  # of the energy that a pair has: what is diffracted fades in from so much on, in any band
+_HEARD_IMAGES = 3e-3  # the same where an end is an image
 _SAFE = 1.1  # times an estimate of a pressure
 _LITTLE = 1e-12  # of the energy
-_MAX_BEYOND = 0.2  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
+_MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
 _MAX_DETOUR = 2.0  # m, by two edges over what goes straight, up to which they count in the light
 
 
@@ -98,8 +99,8 @@ class Context(NamedTuple):
     sight: View
     edges: Edges
     spectrum: Spectrum
-    points: Sight  # of both sides
-    second: int  # the first of the other side's
+    a: Sight
+    b: Sight
     walls: np.ndarray  # (A, B) between the points; 0: they see each other
     direct: np.ndarray  # (A, B, b) J/m², without air
     joined: np.ndarray  # (A, B, b) the same with what joins it
@@ -113,8 +114,7 @@ class Scratch(NamedTuple):
     energy: np.ndarray  # (b,)
     heard: np.ndarray  # (b,) least |P|² of a wave that counts
     least: np.ndarray  # (b,) the same of the ends at hand, before what planes take
-    row: np.ndarray  # (E,) rows of what the second end sees, by wedge; -1 for none
-    link: np.ndarray  # (n,) rows of its links, by `Links` from the first end; -1 for none
+    link: np.ndarray  # (n,) rows of the second end's links, by `Links` from the first end; -1 for none
     double: DoubleWedgeScratch
     way: WayScratch
 
@@ -127,7 +127,6 @@ class _Ends(NamedTuple):
     u: int  # rows of what they see
     v: int
     lit: bool  # they see each other, or there is the reflection between them
-    straight: float  # m, between them
 
 
 class _Least(NamedTuple):
@@ -162,23 +161,23 @@ def _mirrors(waves: Waves, p: End, q: End, plane: int) -> bool:
 
 
 @part
-def _add_mirrors(context: Context, i: int, j: int, scratch: Scratch) -> None:
+def _add_mirrors(context: Context, a: Sight, b: Sight, i: int, j: int, scratch: Scratch) -> None:
     """Reflections off planes, by the sequences that rays from either end meet."""
-    of, points = context.points.sequences, context.points.points
-    p, q = row(points, i), row(points, j)
-    last = of.seen.shape[1]
-    for n in range(of.start[i], of.start[i + 1]):
-        one, two = of.planes[n, 0], of.planes[n, 1]
+    own, other = a.sequences, b.sequences
+    p, q = row(a.points, i), row(b.points, j)
+    last = own.seen.shape[1]
+    for n in range(own.start[i], own.start[i + 1]):
+        one, two = own.planes[n, 0], own.planes[n, 1]
         _add_mirror(context, (one, two, -1), p, q, scratch)
         if two >= 0:
             _add_mirror(context, (one, two, one), p, q, scratch)
-    for n in range(of.start[j], of.start[j + 1]):
-        two, one = of.planes[n, 0], of.planes[n, 1]
+    for n in range(other.start[j], other.start[j + 1]):
+        two, one = other.planes[n, 0], other.planes[n, 1]
         if one < 0:
             one, two = two, -1
-        if not of.seen[i, one, two if two >= 0 else last]:
+        if not own.seen[i, one, two if two >= 0 else last]:
             _add_mirror(context, (one, two, -1), p, q, scratch)
-        if two >= 0 and not of.seen[i, two, one]:
+        if two >= 0 and not own.seen[i, two, one]:
             _add_mirror(context, (two, one, two), p, q, scratch)
 
 
@@ -206,55 +205,14 @@ def _add_mirror(context: Context, met: tuple[int, int, int], p: Vec3, q: Vec3, s
 
 
 @part
-def _detour(context: Context, i: int, j: int, lit: bool, straight: float, scratch: Scratch) -> float:
-    """By how much the shortest way round edges is longer than the straight line, m; in the light, the shortest by
-    an edge that both points see."""
-    wedges, way, points, least = context.edges.wedges, scratch.way, context.points, math.inf
-    seen = points.seen
-    of_p, of_q = row_of(seen, points.ends[i]), row_of(seen, points.ends[j])
-    if not lit:
-        p, q = row(points.points, i), row(points.points, j)
-        if choose_ways(wedges, points.ways, i, of_q, seen.wedge, q, 0, way) > 0:
-            least = way.total[0, 0]
-        if choose_ways(wedges, points.ways, j, of_p, seen.wedge, p, 1, way) > 0:
-            least = min(least, way.total[1, 0])
-        return max(least - straight, 0.0)
-    n, m = of_p[0], of_q[0]
-    while n < of_p[1] and m < of_q[1]:
-        e, f = seen.wedge[n], seen.wedge[m]
-        if e == f:
-            z = min(max(_apex(seen, n, m), 0.0), wedges.length[e])
-            by_p = math.sqrt(seen.r[n] ** 2 + (z - seen.z[n]) ** 2)
-            by_q = math.sqrt(seen.r[m] ** 2 + (z - seen.z[m]) ** 2)
-            least = min(least, by_p + by_q - straight)
-        n += e <= f
-        m += f <= e
-    return max(least, 0.0)
-
-
-@part(forceinline=True)
-def _apex(seen: Seen, n: int, m: int) -> float:
-    """Where the shortest path by the line of an edge meets it, rows of what two ends see, m."""
-    return seen.z[n] + (seen.z[m] - seen.z[n]) * seen.r[n] / (seen.r[n] + seen.r[m])
-
-
-@part
-def _set_heard(
-    context: Context, scratch: Scratch, share: float, lit: bool, straight: float, detour: float
-) -> None:
-    """`Scratch.heard`: a share of the energy that the pair may have (T35a), which has no steps where direct sound
-    ends: so what fades with it has none."""
-    waves, heard, total = scratch.waves, scratch.heard, straight + detour
-    for b in range(len(heard)):
-        k, heard[b] = context.spectrum.k[b, 0], 0.0
-        if lit:
-            heard[b] = 1.0 / (straight * straight * (1.0 + 3.0 * max(1.0 - 0.5 * k * detour, 0.0)))
-        elif detour < math.inf:
-            heard[b] = 1.0 / (total * total * (4.0 + _SCREEN * k * detour))
-        for i in range(1 if lit else 0, min(waves.number[0], len(waves.length))):
+def _set_heard(scratch: Scratch, share: float) -> None:
+    """`Scratch.heard`: a share of the energy of the waves that there are."""
+    waves, heard = scratch.waves, scratch.heard
+    heard[:] = 0.0
+    for i in range(min(waves.number[0], len(waves.length))):
+        for b in range(len(heard)):
             p = waves.field[i, b, 0]
-            heard[b] += p.real * p.real + p.imag * p.imag
-        heard[b] *= share
+            heard[b] += share * (p.real * p.real + p.imag * p.imag)
 
 
 @part(forceinline=True)
@@ -313,12 +271,16 @@ def _edge_path(
 
 
 @part(forceinline=True)
-def _cosines(path: EdgePath, s: WedgeCoordinates, r: WedgeCoordinates) -> tuple[float, float]:
+def _cosines(
+    path: EdgePath, s: WedgeCoordinates, r: WedgeCoordinates, turns: tuple[Turn, Turn, Turn]
+) -> tuple[float, float]:
     """Of the angles at which both faces reflect between two ends: r sin(phi), and r sin(n pi - phi)."""
-    legs, whole = path.d_s + path.d_r, math.pi * path.n
-    first = s.r * math.sin(s.phi) + r.r * math.sin(r.phi)
-    second = s.r * math.sin(whole - s.phi) + r.r * math.sin(whole - r.phi)
-    return min(max(first / legs, 0.0), 1.0), min(max(second / legs, 0.0), 1.0)
+    of_s, of_r, edge = turns
+    legs = path.d_s + path.d_r
+    sin = 2.0 * (s.r * of_s.half_sin * of_s.half_cos + r.r * of_r.half_sin * of_r.half_cos)
+    cos = s.r * (1.0 - 2.0 * of_s.half_sin**2) + r.r * (1.0 - 2.0 * of_r.half_sin**2)
+    second = edge.half_sin * cos - edge.half_cos * sin
+    return min(max(sin / legs, 0.0), 1.0), min(max(second / legs, 0.0), 1.0)
 
 
 @part(forceinline=True)
@@ -364,20 +326,21 @@ def _share_in(k: float, gap: _Gap) -> float:
 
 
 @part
-def _add_singles(context: Context, ends: _Ends, least: _Least, scratch: Scratch) -> None:
+def _add_singles(
+    context: Context, a: Seen, b: Seen, ends: _Ends, least: _Least, scratch: Scratch
+) -> None:
     """Waves by every edge that both ends see."""
-    at, seen = scratch.row, context.points.seen
-    for m in range(seen.start[ends.v], seen.start[ends.v + 1]):
-        at[seen.wedge[m]] = m
-    for n in range(seen.start[ends.u], seen.start[ends.u + 1]):
-        m = at[seen.wedge[n]]
-        if m >= 0 and _single_may_be_heard(context, n, m, least, scratch.least):
-            if _in_order(seen, n, m):
-                _add_single(context, ends, (n, m), scratch)
+    n, stop_n = a.start[ends.u], a.start[ends.u + 1]
+    m, stop_m = b.start[ends.v], b.start[ends.v + 1]
+    while n < stop_n and m < stop_m:
+        e, f = a.wedge[n], b.wedge[m]
+        if e == f and _single_may_be_heard(context, a, b, n, m, least, scratch.least):
+            if _in_order(a, b, n, m):
+                _add_single(context, ends, (a, b), (n, m), scratch)
             else:
-                _add_single(context, ends, (m, n), scratch)
-    for m in range(seen.start[ends.v], seen.start[ends.v + 1]):
-        at[seen.wedge[m]] = -1
+                _add_single(context, ends, (b, a), (m, n), scratch)
+        n += e <= f
+        m += f <= e
 
 
 @part(forceinline=True)
@@ -386,24 +349,26 @@ def _over(a: float, b: float) -> float:
 
 
 @part
-def _single_may_be_heard(context: Context, n: int, m: int, least: _Least, heard: np.ndarray) -> bool:
+def _single_may_be_heard(
+    context: Context, a: Seen, b: Seen, n: int, m: int, least: _Least, heard: np.ndarray
+) -> bool:
     """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the
     four terms of (T30) far from their boundaries, which are sin(pi/n) / (cos²((phi_r ± phi_s)/2n) - cos²(pi/2n))
     two by two, and never more than half of the geometrical wave each."""
-    edges, seen, spectrum = context.edges, context.points.seen, context.spectrum
-    wedges, e = edges.wedges, seen.wedge[n]
-    legs, along = seen.r[n] + seen.r[m], seen.z[m] - seen.z[n]
+    edges, spectrum = context.edges, context.spectrum
+    wedges, e = edges.wedges, a.wedge[n]
+    legs, along = a.r[n] + b.r[m], b.z[m] - a.z[n]
     squared = legs * legs + along * along
     if least.flat * squared >= MOST_SHARE**2:
         return False
-    both, cross = seen.turn[n, 0] * seen.turn[m, 0], seen.turn[n, 1] * seen.turn[m, 1]
+    both, cross = a.turn[n, 0] * b.turn[m, 0], a.turn[n, 1] * b.turn[m, 1]
     cos, size = edges.turn[e, 0] ** 2, 2.0 * edges.turn[e, 0] * edges.turn[e, 1]
     of_terms = _SAFE * (_over(size, (both + cross) ** 2 - cos) + _over(size, (both - cross) ** 2 - cos))
-    falls = of_terms * of_terms * legs / (8.0 * math.pi * wedges.n[e] ** 2 * seen.r[n] * seen.r[m])
+    falls = of_terms * of_terms * legs / (8.0 * math.pi * wedges.n[e] ** 2 * a.r[n] * b.r[m])
     if MOST_SHARE**2 * falls <= least.falls * squared:
         return False
-    z, total = (seen.z[n], seen.z[m]), math.sqrt(squared)
-    gap = _gap_of(wedges.length[e], (seen.r[n], seen.r[m]), z, total, _MAX_BEYOND)
+    z, total = (a.z[n], b.z[m]), math.sqrt(squared)
+    gap = _gap_of(wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
     if gap.taper <= 0.0:
         return False
     goes_on = cuts_of(wedges, e, z[0], z[1])
@@ -429,41 +394,54 @@ def _loudest(path: EdgePath, terms: Terms, spectrum: Spectrum, least: np.ndarray
 
 
 @part(forceinline=True)
-def _in_order(seen: Seen, n: int, m: int) -> bool:
+def _in_order(a: Seen, b: Seen, n: int, m: int) -> bool:
     """Whether the end of row n comes before that of row m: that at the smaller angle."""
-    if seen.phi[n] != seen.phi[m]:
-        return seen.phi[n] < seen.phi[m]
-    return seen.r[n] < seen.r[m] if seen.r[n] != seen.r[m] else seen.z[n] <= seen.z[m]
+    if a.phi[n] != b.phi[m]:
+        return a.phi[n] < b.phi[m]
+    return a.r[n] < b.r[m] if a.r[n] != b.r[m] else a.z[n] <= b.z[m]
+
+
+@part(forceinline=True)
+def _turn(table: np.ndarray, n: int) -> Turn:
+    return Turn(table[n, 0], table[n, 1], table[n, 2], table[n, 3])
 
 
 @part
-def _add_single(context: Context, ends: _Ends, rows: tuple[int, int], scratch: Scratch) -> None:
+def _add_single(
+    context: Context, ends: _Ends, seen: tuple[Seen, Seen], rows: tuple[int, int], scratch: Scratch
+) -> None:
     """The wave by an edge between two ends, rows of what they see, that at the smaller angle first."""
-    seen = context.points.seen
-    e, s, r = seen.wedge[rows[0]], coordinates_in(seen, rows[0]), coordinates_in(seen, rows[1])
-    wedges, spectrum, field = context.edges.wedges, context.spectrum, scratch.field
+    e, s, r = seen[0].wedge[rows[0]], coordinates_in(seen[0], rows[0]), coordinates_in(seen[1], rows[1])
+    of_s, of_r = _turn(seen[0].turn, rows[0]), _turn(seen[1].turn, rows[1])
+    of_edge = _turn(context.edges.turn, e)
+    wedges, spectrum = context.edges.wedges, context.spectrum
     ok, path = _edge_path(context, ends, e, s, r, scratch.waves)
     if not ok:
         return
-    terms = terms_of(path)
-    b = _loudest(path, terms, spectrum, scratch.least)
-    if b < 0:
+    field, least = scratch.field, scratch.least
+    plus = s.phi + r.phi
+    exact, terms = terms_by_turns(path, of_s, of_r, of_edge)
+    exact &= path.minus == r.phi - s.phi and path.plus == plus
+    if not (exact and path.other == 2.0 * math.pi * path.n - plus):
+        terms = terms_of(path)  # an angle was moved to the other side of its boundary
+    loudest = _loudest(path, terms, spectrum, least)
+    if loudest < 0:
         return
-    front, cos, p, q = front_of(path, terms), _cosines(path, s, r), ends.p, ends.q
-    first = field_at(path, front, spectrum.k[b, 0], _mirror(context, e, path, cos, b))
-    if first.real**2 + first.imag**2 <= scratch.least[b]:
+    front, cos = front_of(path, terms), _cosines(path, s, r, (of_s, of_r, of_edge))
+    first = field_at(path, front, spectrum.k[loudest, 0], _mirror(context, e, path, cos, loudest))
+    if first.real**2 + first.imag**2 <= least[loudest]:
         return
-    at = met_point(wedges, e, path.apex)
+    at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
     from_p = leg_to(context.sight, p, at)
     if not from_p.free:
         return
     from_q = leg_to(context.sight, q, at)
     if not from_q.free:
         return
-    for b in range(field.shape[0]):
-        mirror = _mirror(context, e, path, cos, b)
+    for k in range(len(least)):
+        mirror = _mirror(context, e, path, cos, k)
         for g in range(field.shape[1]):
-            field[b, g] = field_at(path, front, spectrum.k[b, g], mirror)
+            field[k, g] = field_at(path, front, spectrum.k[k, g], mirror)
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
@@ -525,30 +503,31 @@ def _add_by_edges(
 
 
 @part
-def _double_may_be_heard(context: Context, ends: _Ends, n: int, m: int, least: np.ndarray) -> bool:
+def _double_may_be_heard(
+    context: Context, a: Seen, b: Seen, n: int, m: int, straight: float, lit: bool, least: np.ndarray
+) -> bool:
     """Whether the wave by both wedges of a link, row n of the first end's links and row m of the second's, is worth
     computing: by the product of both coefficients in the plane across, which are never more than a free field."""
     wedges, links, spectrum = context.edges.wedges, context.edges.links, context.spectrum
-    seen = context.points.seen
-    at = seen.link[n]
-    i, j = seen.link_row[n], seen.link_row[m]
-    e, f, r_p, w, r_q = seen.wedge[i], seen.wedge[j], seen.r[i], links.width[at], seen.r[j]
+    at = a.link[n]
+    i, j = a.link_row[n], b.link_row[m]
+    e, f, r_p, w, r_q = a.wedge[i], b.wedge[j], a.r[i], links.width[at], b.r[j]
     across, rest = r_p + w + r_q, w + r_q
-    along = links.sense[at] * seen.z[j] + links.shift[at] - seen.z[i]
+    along = links.sense[at] * b.z[j] + links.shift[at] - a.z[i]
     squared = across * across + along * along
-    if ends.lit and squared > (ends.straight + _MAX_DETOUR) ** 2:
+    if lit and squared > (straight + _MAX_DETOUR) ** 2:
         return False
-    first, second = seen.link_size[n] * across / rest, seen.link_size[m] * rest / w
+    first, second = a.link_size[n] * across / rest, b.link_size[m] * rest / w
     # A quarter, as the face's image is in both, and twice that, as it is off by some dB.
     scale = 0.5 / squared
     if not _is_above(first, second, scale, spectrum, least):
         return False
     total = math.sqrt(squared)
-    z = seen.z[i], seen.z[i] + along
+    z = a.z[i], a.z[i] + along
     by_e = _gap_of(wedges.length[e], (r_p, rest), z, total, BEYOND)
     if by_e.taper <= 0.0:
         return False
-    z = links.sense[at] * (seen.z[i] - links.shift[at]), seen.z[j]
+    z = links.sense[at] * (a.z[i] - links.shift[at]), b.z[j]
     by_f = _gap_of(wedges.length[f], (r_p + w, r_q), z, total, BEYOND)
     if by_f.taper <= 0.0:
         return False
@@ -572,29 +551,33 @@ def _is_above(first: float, second: float, scale: float, spectrum: Spectrum, lea
 
 
 @part
-def _add_doubles(context: Context, ends: _Ends, scratch: Scratch) -> None:
+def _add_doubles(
+    context: Context, a: Seen, b: Seen, ends: _Ends, straight: float, scratch: Scratch
+) -> None:
     """Waves by two edges of one face."""
-    links, seen, link = context.edges.links, context.points.seen, scratch.link
-    begin, end = seen.link_start[ends.v], seen.link_start[ends.v + 1]
+    links, link = context.edges.links, scratch.link
+    begin, end = b.link_start[ends.v], b.link_start[ends.v + 1]
     for m in range(begin, end):
-        link[links.reverse[seen.link[m]]] = m
-    for n in range(seen.link_start[ends.u], seen.link_start[ends.u + 1]):
-        m = link[seen.link[n]]
-        if m >= 0 and _double_may_be_heard(context, ends, n, m, scratch.least):
-            e, f = seen.wedge[seen.link_row[n]], seen.wedge[seen.link_row[m]]
-            _add_double(context, ends, e, f, scratch)
+        link[links.reverse[b.link[m]]] = m
+    for n in range(a.link_start[ends.u], a.link_start[ends.u + 1]):
+        m = link[a.link[n]]
+        if m >= 0 and _double_may_be_heard(context, a, b, n, m, straight, ends.lit, scratch.least):
+            e, f = a.wedge[a.link_row[n]], b.wedge[b.link_row[m]]
+            _add_double(context, ends, e, f, straight, scratch)
     for m in range(begin, end):
-        link[links.reverse[seen.link[m]]] = -1
+        link[links.reverse[b.link[m]]] = -1
 
 
 @part
-def _add_double(context: Context, ends: _Ends, e: int, f: int, scratch: Scratch) -> None:
+def _add_double(
+    context: Context, ends: _Ends, e: int, f: int, straight: float, scratch: Scratch
+) -> None:
     wedges, spectrum, view, p, q = context.edges.wedges, context.spectrum, context.sight, ends.p, ends.q
     inside, x = two_edge_path(wedges, e, f, p.at, q.at)
     if not inside:
         return
     length, loud = path_length(x), False
-    if ends.lit and length - ends.straight > _MAX_DETOUR:
+    if ends.lit and length - straight > _MAX_DETOUR:
         return
     most, lowest = estimate(wedges, x, spectrum.k[0, 0]), spectrum.k[0, 0]
     for b in range(len(scratch.least)):  # each edge takes one over the root of the wave number
@@ -620,24 +603,25 @@ def _add_double(context: Context, ends: _Ends, e: int, f: int, scratch: Scratch)
 
 
 @part
-def _add_ways(context: Context, i: int, j: int, ends: _Ends, scratch: Scratch) -> None:
+def _add_ways(
+    context: Context, a: Sight, b: Sight, i: int, j: int, ends: _Ends, scratch: Scratch
+) -> None:
     """The shortest way round several edges, from the ways of either point to the edges that the other one sees;
     with it those by an edge more, near whose shadow an end is."""
     edges, view, way, p, q = context.edges, context.sight, scratch.way, ends.p.at, ends.q.at
-    seen, ways = context.points.seen, context.points.ways
-    of_q, of_p = row_of(seen, ends.v), row_of(seen, ends.u)
-    from_p = choose_ways(edges.wedges, ways, i, of_q, seen.wedge, q, 0, way)
-    from_q = choose_ways(edges.wedges, ways, j, of_p, seen.wedge, p, 1, way)
+    of_q, of_p = row_of(b.seen, ends.v), row_of(a.seen, ends.u)
+    from_p = choose_ways(edges.wedges, a.ways, i, of_q, b.seen.wedge, q, 0, way)
+    from_q = choose_ways(edges.wedges, b.ways, j, of_p, a.seen.wedge, p, 1, way)
     m = n = count = 0
     while count == 0 and (m < from_p or n < from_q):
         if n == from_q or (m < from_p and way.total[0, m] <= way.total[1, n]):
             count, length = solve_way(
-                view, edges, set_way(ways, i, way.last[0, m], False, way), p, q, way
+                view, edges, set_way(a.ways, i, way.last[0, m], False, way), p, q, way
             )
             m += 1
         else:
             count, length = solve_way(
-                view, edges, set_way(ways, j, way.last[1, n], True, way), p, q, way
+                view, edges, set_way(b.ways, j, way.last[1, n], True, way), p, q, way
             )
             n += 1
         if count > 0:
@@ -646,14 +630,14 @@ def _add_ways(context: Context, i: int, j: int, ends: _Ends, scratch: Scratch) -
         return
     solved, first, last = 1, way.edge[0], way.edge[count - 1]
     for k in range(of_q[0], of_q[1]):
-        e = seen.wedge[k]
-        if in_light_of(ways, i, e, last, seen.phi[k]):
-            count, length = solve_way(view, edges, set_way(ways, i, e, False, way), p, q, way)
+        e = b.seen.wedge[k]
+        if in_light_of(a.ways, i, e, last, b.seen.phi[k]):
+            count, length = solve_way(view, edges, set_way(a.ways, i, e, False, way), p, q, way)
             solved += _add_way(context, ends, count, length, solved, scratch)
     for k in range(of_p[0], of_p[1]):
-        e = seen.wedge[k]
-        if in_light_of(ways, j, e, first, seen.phi[k]):
-            count, length = solve_way(view, edges, set_way(ways, j, e, True, way), p, q, way)
+        e = a.seen.wedge[k]
+        if in_light_of(b.ways, j, e, first, a.seen.phi[k]):
+            count, length = solve_way(view, edges, set_way(b.ways, j, e, True, way), p, q, way)
             solved += _add_way(context, ends, count, length, solved, scratch)
 
 
@@ -702,35 +686,33 @@ def _mirrors_near(view: View, plane: int, p: Vec3, q: Vec3) -> bool:
 
 
 @part
-def _add_edges(context: Context, i: int, j: int, lit: bool, scratch: Scratch) -> None:
+def _add_edges(
+    context: Context, a: Sight, b: Sight, i: int, j: int, lit: bool, scratch: Scratch
+) -> None:
     """Waves by edges: between both points, of either's images with the other point, and of both in one plane."""
-    points, view, of_points = context.points, context.sight, True
-    at_p, at_q, seen = row(points.points, i), row(points.points, j), points.seen
-    straight = distance(at_p, at_q)
-    detour = _detour(context, i, j, lit, straight, scratch)
-    _set_heard(context, scratch, _HEARD, lit, straight, detour)
-    for u in range(points.ends[i], points.ends[i + 1]):
-        for v in range(points.ends[j], points.ends[j + 1]):
-            plane_p, plane_q = points.plane[u], points.plane[v]
+    at_p, at_q, view, of_points = row(a.points, i), row(b.points, j), context.sight, True
+    _set_heard(scratch, _HEARD)
+    for u in range(a.ends[i], a.ends[i + 1]):
+        for v in range(b.ends[j], b.ends[j + 1]):
+            plane_p, plane_q = a.plane[u], b.plane[v]
             if min(plane_p, plane_q) >= 0 and plane_p != plane_q:
                 continue
-            if seen.start[u] == seen.start[u + 1] or seen.start[v] == seen.start[v + 1]:
+            if a.seen.start[u] == a.seen.start[u + 1] or b.seen.start[v] == b.seen.start[v + 1]:
                 continue
             plane, reached = max(plane_p, plane_q), lit
             if plane >= 0:
                 if lit and not _mirrors_near(view, plane, at_p, at_q):
                     continue
                 if of_points:
-                    _set_heard(context, scratch, _HEARD_IMAGES, lit, straight, detour)
+                    _set_heard(scratch, _HEARD_IMAGES)
                 of_points = False
                 reached = min(plane_p, plane_q) < 0 and _has(scratch.waves, (plane, -1), False)
             p, q = end_at(view, plane_p, at_p), end_at(view, plane_q, at_q)
-            ends = _Ends(p, q, u, v, reached, distance(p.at, q.at))
-            least = _set_least(context, p, q, scratch)
-            _add_singles(context, ends, least, scratch)
-            _add_doubles(context, ends, scratch)
+            ends, least = _Ends(p, q, u, v, reached), _set_least(context, p, q, scratch)
+            _add_singles(context, a.seen, b.seen, ends, least, scratch)
+            _add_doubles(context, a.seen, b.seen, ends, distance(p.at, q.at), scratch)
             if plane < 0 and not lit:
-                _add_ways(context, i, j, ends, scratch)
+                _add_ways(context, a, b, i, j, ends, scratch)
 
 
 @part
@@ -755,15 +737,15 @@ def find_arrivals(
     first: int, last: int, context: Context, pairs: np.ndarray, slots: PathSlots, scratch: Scratch
 ) -> None:
     """The arrivals of pairs, solved from the end of the smaller key, so that both directions have the same bits."""
-    waves, energy, points = scratch.waves, scratch.energy, context.points
+    waves, energy = scratch.waves, scratch.energy
     for k in range(first, last):
         i, j = pairs[k]
-        p, q = i, context.second + j
-        swapped = points.keys[p] > points.keys[q]
+        swapped = context.a.keys[i] > context.b.keys[j]
+        a, b, of_a, of_b = context.a, context.b, i, j
         if swapped:
-            p, q = q, p
+            a, b, of_a, of_b = b, a, j, i
         waves.number[0] = 0
-        straight = distance(row(points.points, p), row(points.points, q))
+        straight = distance(row(a.points, of_a), row(b.points, of_b))
         scratch.field[:, :] = 1.0
         for n in range(len(energy)):
             energy[n] = 4.0 * math.pi * context.direct[i, j, n]
@@ -775,9 +757,9 @@ def find_arrivals(
             energy,
             False,
         )
-        _add_mirrors(context, p, q, scratch)
+        _add_mirrors(context, a, b, of_a, of_b, scratch)
         if straight > context.sight.geometry.epsilon and len(context.edges.wedges.length) > 0:
-            _add_edges(context, p, q, context.walls[i, j] == 0, scratch)
+            _add_edges(context, a, b, of_a, of_b, context.walls[i, j] == 0, scratch)
         if waves.number[0] > len(waves.length):
             slots.number[k] = -waves.number[0]
             continue

@@ -34,6 +34,7 @@ _ROOT_PI = math.sqrt(math.pi)
 _QUARTER = math.sqrt(0.5)  # cos and sin of pi / 4
 _TAPERED = 4.0 * math.pi  # phase of a detour from which on the part beyond an end counts as nothing
 _MIN_SINE = 1e-9  # nearer to a shadow boundary, rad, the cotangent is taken beside it
+_EXACT = 1e-4  # sine of a term's angle; below it a boundary is near, and angles are taken as they are
 _TINY = 1e-30  # m
 #: most that an edge of finite length has of an endless one's field (a slit: 1.34)
 MOST_SHARE = 1.35
@@ -134,6 +135,57 @@ def terms_of(path: EdgePath) -> Terms:
     a, b = _term(path.n, path.minus, 1.0), _term(path.n, path.minus, -1.0)
     c, d = _term(path.n, path.plus, -1.0), _term(path.n, path.other, -1.0)
     return Terms((a[0], b[0], c[0], d[0]), (a[1], b[1], c[1], d[1]))
+
+
+class Turn(NamedTuple):
+    """An angle by cosine and sine of its parts."""
+
+    cos: float  # of the angle over 2n
+    sin: float
+    half_cos: float  # of half of the angle
+    half_sin: float
+
+
+@part(forceinline=True)
+def _sum_of(a: Turn, b: Turn, sign: float) -> Turn:
+    """b + a, or b - a by a sign of -1."""
+    return Turn(
+        b.cos * a.cos - sign * b.sin * a.sin,
+        b.sin * a.cos + sign * b.cos * a.sin,
+        b.half_cos * a.half_cos - sign * b.half_sin * a.half_sin,
+        b.half_sin * a.half_cos + sign * b.half_cos * a.half_sin,
+    )
+
+
+@part(forceinline=True)
+def terms_by_turns(path: EdgePath, s: Turn, r: Turn, edge: Turn) -> tuple[bool, Terms]:
+    """`terms_of` without trigonometry, from tables of both ends' angles, and of pi (`cos`, `sin`) and 2 pi n
+    (`half_cos`, `half_sin`); whether they are exact, as they are but near boundaries."""
+    minus, plus, sector = _sum_of(s, r, -1.0), _sum_of(s, r, 1.0), math.pi * path.n
+    of = (
+        edge.sin * minus.cos + edge.cos * minus.sin,
+        edge.sin * minus.cos - edge.cos * minus.sin,
+        edge.sin * plus.cos - edge.cos * plus.sin,
+        edge.sin * plus.cos + edge.cos * plus.sin,
+    )
+    over = (
+        edge.cos * minus.cos - edge.sin * minus.sin,
+        edge.cos * minus.cos + edge.sin * minus.sin,
+        edge.cos * plus.cos + edge.sin * plus.sin,
+        edge.cos * plus.cos - edge.sin * plus.sin,
+    )
+    beyond_minus = abs(edge.half_cos * minus.half_cos + edge.half_sin * minus.half_sin)
+    beyond_plus = abs(edge.half_cos * plus.half_cos + edge.half_sin * plus.half_sin)
+    least = min(min(abs(of[0]), abs(of[1])), min(abs(of[2]), abs(of[3])))
+    root = (
+        beyond_minus if path.minus >= sector - math.pi else abs(minus.half_cos),
+        abs(minus.half_cos),
+        beyond_plus if path.plus >= sector + math.pi else abs(plus.half_cos),
+        abs(plus.half_cos) if path.plus <= sector - math.pi else beyond_plus,
+    )
+    if least < _EXACT:
+        return False, Terms(root, root)
+    return True, Terms((over[0] / of[0], over[1] / of[1], over[2] / of[2], over[3] / of[3]), root)
 
 
 @part(forceinline=True)

@@ -61,7 +61,7 @@ class Edges(NamedTuple):
     material: np.ndarray  # (E, 2) row of Surfaces, of each face
     mutual: MutualVisibility
     links: Links
-    turn: np.ndarray  # (E, 2) cosine and sine of pi / 2n
+    turn: np.ndarray  # (E, 4) cosine and sine of pi / 2n, and of pi n
     large: np.ndarray  # (P,) planes in which points have images
 
 

@@ -7,7 +7,7 @@ other, the point itself first. Tables are compressed rows: those of end i are st
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class Seen(NamedTuple):
     z: np.ndarray  # (m,) m
     r: np.ndarray  # (m,) m
     phi: np.ndarray  # (m,) rad
-    turn: np.ndarray  # (m, 2) cosine and sine of phi / 2n
+    turn: np.ndarray  # (m, 4) cosine and sine of phi / 2n, and of phi / 2
     link_start: np.ndarray  # (n + 1,)
     link: np.ndarray  # (l,) rows of `Links`, from a wedge that the end sees
     link_row: np.ndarray  # (l,) row of that wedge above
@@ -268,32 +268,11 @@ def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -
     return Sight(points, keys, sequences, ends, plane, seen, ways)
 
 
-def of_both(a: Sight, b: Sight) -> Sight:
-    """The points of two sides in one table, those of b after those of a."""
-
-    def joined(name: str, of: str = "") -> np.ndarray:
-        one, other = (getattr(getattr(x, of), name) if of else getattr(x, name) for x in (a, b))
-        shift = 0
-        if name in ("start", "ends", "link_start"):
-            shift, other = one[-1], other[1:]
-        if name == "link_row":
-            shift = len(a.seen.wedge)
-        return np.concatenate([one, (other + shift).astype(one.dtype) if shift else other])
-
-    def table(kind: Any, of: str) -> Any:
-        return kind(*(joined(name, of) for name in kind._fields))
-
-    return Sight(
-        joined("points"), joined("keys"), table(Sequences, "sequences"), joined("ends"), joined("plane"),
-        table(Seen, "seen"), table(Ways, "ways"),
-    )  # fmt: skip
-
-
 def _with_links(edges: Edges, start: np.ndarray, wedge: np.ndarray, places: np.ndarray) -> Seen:
     """What ends see of the edges, (m, 3) their coordinates about them, and the links from there."""
     z, r, phi = np.ascontiguousarray(places.T)
     turn, links = 0.5 * phi / edges.wedges.n[wedge], edges.links
-    turns = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    turns = np.stack([np.cos(turn), np.sin(turn), np.cos(0.5 * phi), np.sin(0.5 * phi)], axis=1)
     before = np.concatenate([[0], np.cumsum(np.diff(links.start)[wedge])])
     count = before[-1]
     seen = Seen(

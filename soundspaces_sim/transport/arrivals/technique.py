@@ -24,7 +24,7 @@ from soundspaces_sim.transport.arrivals.for_each_pair import for_each_pair
 from soundspaces_sim.transport.arrivals.images import View, most_reflected
 from soundspaces_sim.transport.arrivals.prepared import mark_planes, prepare_planes, prepare_wedges
 from soundspaces_sim.transport.arrivals.scene_edges import Edges, find_faces, find_links
-from soundspaces_sim.transport.arrivals.sight import Sight, find_sight, of_both
+from soundspaces_sim.transport.arrivals.sight import Sight, find_sight
 from soundspaces_sim.transport.arrivals.specular_planes import make_cover, plane_areas, plane_boxes
 from soundspaces_sim.transport.arrivals.waves import make_waves
 from soundspaces_sim.transport.arrivals.ways import make_way_scratch
@@ -104,8 +104,8 @@ def edges_of(model: Model) -> Edges:
     wedges, mutual = model.prepared.part(prepare_wedges)
     planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
     large = plane_areas(geometry.plane, model.scene.corners, planes) >= _MIN_AREA
-    half = 0.5 * np.pi / wedges.n
-    turn = np.stack([np.cos(half), np.sin(half)], axis=1)
+    half, whole = 0.5 * np.pi / wedges.n, np.pi * wedges.n
+    turn = np.stack([np.cos(half), np.sin(half), np.cos(whole), np.sin(whole)], axis=1)
     return Edges(wedges, *find_faces(geometry, wedges), mutual, find_links(wedges, mutual), turn, large)
 
 
@@ -122,14 +122,13 @@ def context_of(
 ) -> tuple[Context, Callable[[int], Scratch]]:
     """(What the kernel reads, what makes room for so many waves)."""
     model, edges = tile.model, tile.model.once(edges_of)
-    a, b = tile.a.once(sight_of), tile.b.once(sight_of)
     spectrum = make_spectrum(model.config.bands, model.config.c)
     context = Context(
         sight=model.once(view_of),
         edges=edges,
         spectrum=spectrum,
-        points=a if tile.same else of_both(a, b),
-        second=0 if tile.same else len(a.points),
+        a=tile.a.once(sight_of),
+        b=tile.b.once(sight_of),
         walls=walls,
         direct=direct,
         joined=np.zeros_like(direct),
@@ -143,7 +142,6 @@ def context_of(
             energy=np.empty(bands),
             heard=np.empty(bands),
             least=np.empty(bands),
-            row=np.full(len(edges.wedges.length), -1, np.int32),
             link=np.full(len(edges.links.wedge), -1, np.int32),
             double=make_double_wedge_scratch(len(spectrum.node)),
             way=make_way_scratch(),
