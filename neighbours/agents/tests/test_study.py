@@ -262,6 +262,9 @@ def test_a_report_says_which_orderings_hold(tmp_path: Path) -> None:
 
 def test_the_committed_page_is_made_of_its_record(tmp_path: Path) -> None:
     """One command makes the page of the episodes beside it, without datasets."""
+    pytest.importorskip("torch", reason="the extra `train` is not installed")
+    from soundspaces_agents.pictures import report
+
     pages = Path(__file__).parents[1] / "pages"
     for path in (pages / "record.json.gz", *pages.glob("*.png"), *pages.glob("*.gif")):
         shutil.copy(path, tmp_path)
