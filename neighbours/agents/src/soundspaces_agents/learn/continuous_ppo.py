@@ -164,7 +164,9 @@ class _Watch(BaseCallback):
                 self._episodes += 1
                 self._recent.append((info["success"], info["spl"]))
         due = self.num_timesteps % self.config.every < self.config.agents
-        if due and self.num_timesteps < self.config.steps:  # the last row is of the network that has learnt all
+        if (
+            due and self.num_timesteps < self.config.steps
+        ):  # the last row is of the network that has learnt all
             self.write()
         return True
 
