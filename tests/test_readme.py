@@ -300,6 +300,8 @@ def test_a_command_of_a_row_runs(cell: str, demo: Path, monkeypatch: pytest.Monk
     trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]).export("room.obj")
     words = shlex.split(cell)[1:]
     done = CliRunner().invoke(app, words)
+    if "not installed; in a clone: .venv/bin/pip install ./neighbours/" in str(done.exception):
+        pytest.skip(str(done.exception))
     assert done.exit_code == 0, (done.output, done.exception)
 
 
