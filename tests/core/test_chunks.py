@@ -1,6 +1,7 @@
 """Chunks that are packed in threads: what HDF5 itself reads and would have written."""
 
 import io
+from concurrent.futures import ThreadPoolExecutor
 
 import h5py
 import numpy as np
@@ -71,3 +72,18 @@ def test_a_damaged_chunk_is_told() -> None:
 def test_threads_change_no_byte() -> None:
     value = np.random.default_rng(1).integers(0, 9, (12, 17, 50, 3)).astype(np.int8)
     assert _written(value, 1) == _written(value, 3)
+
+
+def test_files_are_written_in_threads_side_by_side() -> None:
+    """A job encodes several blocks at once, each into a file of its own in memory."""
+    value = np.random.default_rng(2).integers(0, 9, (24, 24, 40)).astype(np.int8)
+    alone = _written(value, 1)
+
+    def call(_: int) -> bytes:
+        content = io.BytesIO()
+        with create_hdf5(content) as file:
+            put_chunks(file, "values", value, 2)
+        return content.getvalue()
+
+    with ThreadPoolExecutor(8) as pool:
+        assert all(found == alone for found in pool.map(call, range(48)))
