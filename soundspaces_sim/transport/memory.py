@@ -34,7 +34,7 @@ class TileMemory(NamedTuple):
 
     def of(self, side: int) -> float:
         """For a tile of `side` points on either side."""
-        return self.fixed + 2.0 * self.point * max(side, LISTENERS) + self.pair * side**2
+        return self.fixed + 2.0 * self.point * side + self.pair * side**2
 
     def largest_side(self, memory: float) -> int:
         """The most points on either side for which `memory` bytes are enough; at least one."""
@@ -66,15 +66,13 @@ def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
     coarse = product_count(rows, 0)
     matrices = [p * int(n) for p, n in zip([*products, coarse], [*steps, rows], strict=True)]
     chunk, directed = min(CHUNK, patches), min(DIRECTED, patches)
-    of_thread = (
-        LISTENERS * CHANNELS * directed * (bands * rows + coarse) + int(steps.sum()) * chunk * bands
-    )
+    of_listener = CHANNELS * directed * (bands * rows + coarse)
+    of_thread = LISTENERS * of_listener + int(steps.sum()) * chunk * bands
     of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
     below = moment_rows(groups) - BATCHES
-    by_step = (
-        BATCHES + 1 + ways * (below + groups * (groups + 1))
-    )  # by batch, below, and across both ends
+    # by batch, within groups of patches, below the batches and across both ends
+    by_step = BATCHES + 2 + ways * (below + groups * (groups + 1))
     of_pair = max(products) + by_step * (len(batch_edges(model)) - 1) * bands
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair

@@ -61,10 +61,10 @@ def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
     rng = np.random.default_rng(0)
     outgoing, incident = rng.uniform(0.0, WINDOWS[-1], (2, EVENTS))
     batch = rng.integers(BATCHES, size=EVENTS)
-    out = np.zeros((BATCHES, 1, STEPS), np.float32)
+    out = np.zeros((BATCHES, 1, 1, STEPS), np.float32)
     total = _histogram(windows.steps, incident, np.zeros(EVENTS, int), True).sum(axis=0)
     own = _histogram(windows.steps, outgoing, batch, False)
-    add_products(windows, own, total[None], out)
+    add_products(windows, own[None], total[None], out)
 
     lengths, middle = outgoing[:, None] + incident, 0.5 * (WINDOWS[1:] + WINDOWS[:-1])
     assert len(windows.stretches) == 2
@@ -77,7 +77,7 @@ def test_products_of_batches_are_sums_over_pairs_of_events() -> None:
         for k in range(BATCHES):
             of_k = steps[batch == k].ravel()
             expected = np.bincount(of_k[(of_k >= 0) & (of_k < kept)], minlength=kept)
-            found = out[k, 0, stretch.bins]
+            found = out[k, 0, 0, stretch.bins]
             np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4 * expected.max())
         # Lengths of the paths of a step: in the mean its middle, to a tenth of the step.
         for n in range(kept):

@@ -21,10 +21,10 @@ def _histograms(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 def _spectra(*histograms: np.ndarray) -> list[np.ndarray]:
     convolution = make_convolution(T, FIRST)
-    out = [np.empty((len(convolution.forward), len(x), x.shape[2]), np.float32) for x in histograms]
+    out = [np.empty((len(convolution.forward), 1, len(x), x.shape[2]), np.float32) for x in histograms]
     for x, spectra in zip(histograms, out, strict=True):
-        transform(convolution, x, spectra)
-    return out
+        transform(convolution, x[:, None], spectra)
+    return [spectra[:, 0] for spectra in out]
 
 
 def _accumulated(rows: np.ndarray, columns: np.ndarray, kind: Kind = PLAIN) -> np.ndarray:

@@ -77,9 +77,9 @@ def deposit_transfer(
     convolution, rows = plan.coarse.convolution, plan.coarse.steps.rows
     bands, points, _, patches = forward.directed.shape
     listeners = table.shape[1]
-    spectra = np.empty((bands, len(convolution.forward), points, patches), np.float32)
+    spectra = np.empty((bands, len(convolution.forward), 1, points, patches), np.float32)
     for band in range(bands):
-        transform(convolution, forward.directed[band], spectra[band])
+        transform(convolution, forward.directed[band][:, None], spectra[band])
 
     energies = LateEnergies(forward.energy, backward.energy, plan.restore)
     bins = LateBins(plan.first_bin, plan.coarse.of_bin)
@@ -101,16 +101,16 @@ def deposit_transfer(
 def _convolve_moments(
     convolution: Convolution, outgoing_spectra: np.ndarray, incident: np.ndarray
 ) -> np.ndarray:
-    """V ∗ F_n summed over patches: (P, Q, 9, coarse steps), of outgoing spectra (R, P, D) and incident histograms
-    of Q points (Q, coarse rows, 9, D)."""
-    (products, points, patches), (listeners, rows) = outgoing_spectra.shape, incident.shape[:2]
+    """V ∗ F_n summed over patches: (P, Q, 9, coarse steps), of outgoing spectra (R, 1, P, D) and incident
+    histograms of Q points (Q, coarse rows, 9, D)."""
+    (products, _, points, patches), (listeners, rows) = outgoing_spectra.shape, incident.shape[:2]
     spectra = np.empty((products, listeners, CHANNELS * patches), np.float32)
     histograms = incident.reshape(listeners, rows, -1)
     np.matmul(convolution.forward, histograms, out=spectra.transpose(1, 0, 2))  # in a thread already
     moments = np.zeros((1, points, listeners * CHANNELS, len(convolution.inverse)), np.float32)
     scratch = np.empty(products * points * listeners * CHANNELS, np.float32)
     columns = spectra.reshape(products, 1, -1, patches)
-    accumulate(convolution, outgoing_spectra[:, None], columns, scratch, moments)
+    accumulate(convolution, outgoing_spectra, columns, scratch, moments)
     moments = moments.reshape(points, listeners, CHANNELS, -1)
     energy = moments[:, :, 0]
     energy[energy < ROUNDING * energy.max(axis=2, keepdims=True)] = 0.0

@@ -14,14 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.transport.radiance_transfer.batch_variance import WindowSteps, moment_rows
-from soundspaces_sim.transport.radiance_transfer.convolution import PLAIN, Kind, accumulate
+from soundspaces_sim.transport.radiance_transfer.convolution import PLAIN, Kind, accumulate, transform
 from soundspaces_sim.transport.radiance_transfer.time_steps import Stretch
 from soundspaces_sim.transport.tables import BATCHES
 
 _TOGETHER = 2**21  # products of points of as many batches are made at once
-_MULTIPLICATIONS = 2**24  # for which it is worth to wake a thread
 
 
 class ByBatch(NamedTuple):
@@ -110,27 +108,29 @@ def _add_counts(
     """Rows below the batches: each with all of the other end, and those of one end with those of the other."""
     whole = to.both[band, :, :BATCHES].mean(axis=1)
     turned = np.concatenate(_halves(whole)[::-1], axis=-1)
-    for row, out in enumerate(below):
-        add_products(windows, of.both[band, :, BATCHES + row], turned, out)
+    add_products(windows, of.both[band, :, BATCHES:], turned, below)
     outgoing, incident = of.halves[0][0][band], to.halves[0][1][band]
     groups = crossed.taken.shape[1]
+    counted = outgoing[:, BATCHES : BATCHES + groups]
     for m in range(groups):
         taken = BATCHES + groups + m
-        add_products(windows, outgoing[:, taken], incident[:, taken], crossed.taken[band, m])
-        for k in range(groups):
-            counted = outgoing[:, BATCHES + k], incident[:, BATCHES + m]
-            add_products(windows, *counted, crossed.counts[band, m, k])
+        add_products(
+            windows, outgoing[:, taken : taken + 1], incident[:, taken], crossed.taken[band, m : m + 1]
+        )
+        add_products(windows, counted, incident[:, BATCHES + m], crossed.counts[band, m])
 
 
 def add_products(windows: WindowSteps, own: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
-    """Add to `out` (P, Q, T) the convolutions of `own` (P, steps, columns) with `other` (Q, steps, columns), summed
-    over columns.
+    """Add to `out` (K, P, Q, T) the convolutions of each of K of `own` (P, K, steps, columns) with `other`
+    (Q, steps, columns), summed over columns.
 
     They are without decay compensation; so is `out`, of which only ratios between batches are used.
     """
     for stretch in windows.stretches:
-        rows, columns = (_spectra(stretch, side[:, None]) for side in (own, other))
-        _accumulate(stretch, rows, columns, out[None], PLAIN)
+        columns = _spectra(stretch, other[:, None])
+        for k in range(len(out)):
+            rows = _spectra(stretch, own[:, k : k + 1])
+            _accumulate(stretch, rows, columns, out[k : k + 1], PLAIN)
 
 
 def add_both_ways(windows: WindowSteps, a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
@@ -160,12 +160,6 @@ def _halves(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _spectra(stretch: Stretch, histograms: np.ndarray) -> np.ndarray:
     """(R, K, N, columns) transforms of histograms (N, K, steps, columns)."""
     count, tables, _, columns = histograms.shape
-    forward = stretch.convolution.forward
-    spectra = np.empty((len(forward), tables, count, columns), np.float32)
-
-    def call(first: int, last: int) -> None:
-        out = spectra[:, :, first:last].transpose(2, 1, 0, 3)
-        np.matmul(forward, histograms[first:last, :, stretch.rows], out=out)
-
-    over_rows(call, count, least=-(-_MULTIPLICATIONS // (tables * columns * forward.size)))
+    spectra = np.empty((len(stretch.convolution.forward), tables, count, columns), np.float32)
+    transform(stretch.convolution, histograms[:, :, stretch.rows], spectra)
     return spectra

@@ -62,16 +62,18 @@ def make_convolution(steps: int, first: int) -> Convolution:
 
 
 def transform(convolution: Convolution, histograms: np.ndarray, spectra: np.ndarray) -> None:
-    """Write the transforms of the `histograms` (n, T, columns) of n points to `spectra` (R, n, columns).
+    """Write the transforms of `histograms` (N, K, T, columns), K of each of N points, to `spectra` (R, K, N,
+    columns).
 
-    Every point has a product of its own, of the same shape for any n: BLAS adds in another order for other shapes.
+    Every histogram has a product of its own, of the same shape for any N: BLAS adds in another order for other
+    shapes.
     """
 
     def call(first: int, last: int) -> None:
-        rows = slice(first, last)
-        np.matmul(convolution.forward, histograms[rows], out=spectra[:, rows].transpose(1, 0, 2))
+        out = spectra[:, :, first:last].transpose(2, 1, 0, 3)
+        np.matmul(convolution.forward, histograms[first:last], out=out)
 
-    of_point = convolution.forward.size * histograms.shape[2]
+    of_point = convolution.forward.size * histograms.shape[1] * histograms.shape[3]
     over_rows(call, len(histograms), least=-(-_MULTIPLICATIONS // of_point))
 
 

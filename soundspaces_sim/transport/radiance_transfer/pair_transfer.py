@@ -234,18 +234,17 @@ def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np
     (p, q), chunk = energy.shape[:2], plan.chunk
     for stretch in plan.stretches:
         convolution, products = stretch.convolution, len(stretch.convolution.forward)
-        outgoing = workspace.outgoing_spectra[: products * p * chunk].reshape(products, p, chunk)
-        incident = workspace.incident_spectra[: products * q * chunk].reshape(products, q, chunk)
+        outgoing = workspace.outgoing_spectra[: products * p * chunk].reshape(products, 1, p, chunk)
+        incident = workspace.incident_spectra[: products * q * chunk].reshape(products, 1, q, chunk)
         with stage("transforms"):
-            transform(convolution, workspace.outgoing[band][:, stretch.rows], outgoing)
-            transform(convolution, workspace.incident[band][:, stretch.rows], incident)
+            transform(convolution, workspace.outgoing[band][:, None, stretch.rows], outgoing)
+            transform(convolution, workspace.incident[band][:, None, stretch.rows], incident)
         with stage("products"):
             count(products=products * p * q * chunk)
             for start in range(0, q, COLUMNS):
                 columns = slice(start, start + COLUMNS)
                 places = columns, stretch.bins
-                sides = outgoing[:, None], incident[:, None]
-                accumulate(convolution, *sides, workspace.products, energy[None], places)
+                accumulate(convolution, outgoing, incident, workspace.products, energy[None], places)
 
 
 def _subtract_own(plan: TransferPlan, of: Endpoints, to: Endpoints, energy: np.ndarray) -> None:

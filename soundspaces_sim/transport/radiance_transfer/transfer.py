@@ -37,7 +37,7 @@ def join(tile: Tile, of_a: Walks, of_b: Walks, sums: Sums) -> None:
         plan = make_transfer_plan(model)
     with stage("endpoints"):
         a, b = of_a.once(make_endpoints), of_b.once(make_endpoints)
-    with threadpool_limits(limits=1, user_api="blas"):  # threads are ours, products of one shape
+    with threadpool_limits(limits=1, user_api="blas"):  # threads are ours
         forward, backward, products = transfer(plan, a, b)
         with stage("directions of arrival"):
             deposit_transfer(plan, forward, backward, b.reflections, sums.to_b)
