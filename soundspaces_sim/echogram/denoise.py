@@ -3,9 +3,10 @@
 Every late bin E is the mean of two estimates: by subpaths of one end, and by subpaths of the other. Half of their
 difference D has the mean zero and the noise of E, bin by bin, and costs nothing. So the share of noise in the
 structure of E is known at every scale and place: it is that of the same structure of D. A subpath that both
-estimates have in common is no part of D, but of one batch of subpaths: where the variance by batches of a window of
-time is more than `_LACKING` times the sum of D², what is lacking is added to D², to each bin in proportion to
-E² − D².
+estimates have in common is no part of D, but of one batch of subpaths. So where the variance by batches of a window
+of time is more than `_LACKING` times the sum of D², what is lacking is noise, too: of each bin there in proportion
+to E² − D², and, as batches may be off in time by half a window, of those in the nearer half of a long neighbour
+(T44a).
 
 Scales are those of the wavelet transform "à trous" with the B3 spline h (Starck & Murtagh 1994). Energies are
 taken relative to a decay f,
@@ -34,7 +35,7 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.echogram.decay_curves import CurveScratch, fit_curve, make_curve_scratch
-from soundspaces_sim.echogram.denoise_plan import DenoisePlan, PairWindows, cut_windows
+from soundspaces_sim.echogram.denoise_plan import WIDEST_S, DenoisePlan, PairWindows, cut_windows
 from soundspaces_sim.echogram.pool_windows import Groups, make_groups, pool_windows
 from soundspaces_sim.echogram.wavelets import (
     RunningSums,
@@ -67,6 +68,8 @@ class _Work(NamedTuple):
     row: np.ndarray  # (bins, channels, b) of a pair with shares of windows; no bins without them
     squares: np.ndarray  # (W, b) of E² − D²
     known: np.ndarray  # (W, b) of D²
+    lacking: np.ndarray  # (W, b) standard errors that D does not tell of
+    energy: np.ndarray  # (W, b)
     noise: np.ndarray  # (late bins, b)
     fine: ScaleBins
     coarse: ScaleBins
@@ -102,6 +105,8 @@ def _make_work(plan: DenoisePlan, total: int, channels: int, bands: int, of_time
         row=np.empty((total, channels, bands), np.float32),
         squares=np.empty((of_time, bands)),
         known=np.empty((of_time, bands)),
+        lacking=np.empty((of_time, bands)),
+        energy=np.empty((of_time, bands)),
         noise=np.empty((late, bands)),
         fine=make_bins(),
         coarse=make_bins(),
@@ -117,27 +122,48 @@ def _make_work(plan: DenoisePlan, total: int, channels: int, bands: int, of_time
 
 @part
 def _find_noise(
-    row: np.ndarray, difference: np.ndarray, error: np.ndarray, window: np.ndarray, work: _Work
+    row: np.ndarray,
+    difference: np.ndarray,
+    error: np.ndarray,
+    window: np.ndarray,
+    plan: DenoisePlan,
+    work: _Work,
 ) -> None:
     """The noise of a pair's late bins, to `work.noise`: D, and what it lacks of the variance by batches."""
-    squares, known, bands = work.squares, work.known, row.shape[2]
-    first = len(row) - len(difference)
-    squares[:], known[:] = 0.0, 0.0
+    known, lacking, squares, energy = work.known, work.lacking, work.squares, work.energy
+    bands, windows, first = row.shape[2], len(error), len(row) - len(difference)
+    squares[:], known[:], energy[:] = 0.0, 0.0, 0.0
     for t in range(len(row)):
         w = window[t]
         for b in range(bands):
-            d2 = np.float64(difference[t - first, b]) ** 2 if t >= first else 0.0
-            squares[w, b] += max(np.float64(row[t, 0, b]) ** 2 - d2, 0.0)
-            known[w, b] += d2
-    for t in range(len(difference)):
-        w = window[first + t]
+            own, d = np.float64(row[t, 0, b]), 0.0
+            if t >= first:
+                d = np.float64(difference[t - first, b])
+            squares[w, b] += max(own * own - d * d, 0.0)
+            energy[w, b] += own
+            known[w, b] += d * d
+    for w in range(windows):
         for b in range(bands):
-            d = np.float64(difference[t, b])
-            work.noise[t, b] = d
             variance = np.float64(error[w, b]) ** 2
-            if variance > _LACKING * known[w, b] and squares[w, b] > 0.0:
-                share = max(np.float64(row[first + t, 0, b]) ** 2 - d * d, 0.0) / squares[w, b]
-                work.noise[t, b] = math.copysign(math.sqrt(d * d + share * (variance - known[w, b])), d)
+            lacks = variance > _LACKING * known[w, b]
+            lacking[w, b] = math.sqrt(variance - known[w, b]) if lacks else 0.0
+    begin = end = first
+    for t in range(first, len(row)):
+        w = window[t]
+        if t == end:
+            begin = t
+            while end < len(row) and window[end] == w:
+                end += 1
+        other = w - 1 if 2 * t < begin + end - 1 else w + 1
+        long = plan.edges[end - first] - plan.edges[begin - first] > WIDEST_S
+        for b in range(bands):
+            d, lack = np.float64(difference[t - first, b]), lacking[w, b]
+            if long and 0 <= other < windows and energy[other, b] > 0.0:
+                lack += lacking[other, b] * max(1.0, energy[w, b] / energy[other, b])
+            if lack > 0.0 and squares[w, b] > 0.0:
+                own = max(np.float64(row[t, 0, b]) ** 2 - d * d, 0.0)
+                d = math.copysign(math.sqrt(d * d + own * min(lack * lack / squares[w, b], 1.0)), d)
+            work.noise[t - first, b] = d
 
 
 @part
@@ -331,7 +357,7 @@ def _smooth_pair(
     if onset == bins:
         return
     count, fitted = cut_windows(plan, onset, split - plan.first, work.windows)
-    _find_noise(row, difference, error, window, work)
+    _find_noise(row, difference, error, window, plan, work)
     _sum_windows(row, work.noise, plan.first, count, fitted, work.windows)
     for t in range(work.windows.wide[0], work.windows.wide[fitted]):
         work.curves.base[t] = plan.edges[t + 1] - plan.edges[t]

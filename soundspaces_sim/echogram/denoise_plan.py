@@ -11,7 +11,7 @@ from soundspaces_sim.core.numerics.kernel import part
 _FROM_S = 0.05  # earlier bins stay as they are
 _WINDOWS_S = (0.1, 0.2, 0.35)  # energies between these times stay what they were, …
 _LATER_S = 0.15  # … and after them every so long
-_WIDEST_S = 0.08  # scale of the coarsest details but those against the decay
+WIDEST_S = 0.08  # scale of the coarsest details but those against the decay
 
 
 class DenoisePlan(NamedTuple):
@@ -44,7 +44,7 @@ def make_denoise_plan(time_edges: np.ndarray, connection_window: float, blur: fl
     widths = np.diff(edges)
     stretches = equal_bins(widths)
     own = widths[stretches[:-1]]
-    most = np.minimum(_WIDEST_S / own, 0.5 * np.diff(stretches))
+    most = np.minimum(WIDEST_S / own, 0.5 * np.diff(stretches))
     levels = np.floor(np.log2(np.maximum(most, 1.0)) + 1e-9)
     blurred = np.clip(np.ceil(np.log2(np.maximum(blur / own, 1.0)) - 1e-9), 0.0, levels)
     later = np.arange(_WINDOWS_S[-1] + _LATER_S, edges[-1] - 0.5 * _LATER_S, _LATER_S)

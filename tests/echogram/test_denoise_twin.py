@@ -10,7 +10,7 @@ import pytest
 from soundspaces_sim.core.config import DEFAULT_TIME_GRID
 from soundspaces_sim.echogram import decay_curves, denoise, pool_windows, wavelets
 from soundspaces_sim.echogram.denoise import Noise, smooth_late
-from soundspaces_sim.echogram.denoise_plan import DenoisePlan, make_denoise_plan
+from soundspaces_sim.echogram.denoise_plan import WIDEST_S, DenoisePlan, make_denoise_plan
 
 BANDS = 2
 
@@ -155,6 +155,31 @@ def _spread(
     return kept, sums, of_noise
 
 
+def _noise(
+    raw: np.ndarray, difference: np.ndarray, error: np.ndarray, window: np.ndarray, plan: DenoisePlan
+) -> np.ndarray:
+    """(late bins, b) D with what it lacks of the variance by batches, of windows in one piece."""
+    out, count, of_late = difference.copy(), len(error), window[plan.first :]
+    d = np.zeros(raw[:, 0].shape)
+    d[plan.first :] = difference
+    own = np.maximum(raw[:, 0] ** 2 - d**2, 0.0)
+    for b in range(BANDS):
+        squares, energy, known = (np.bincount(window, x[:, b], count) for x in (own, raw[:, 0], d**2))
+        lacks = np.maximum(error[:, b] ** 2 - known, 0.0) ** 0.5
+        lacks[error[:, b] ** 2 <= denoise._LACKING * known] = 0.0
+        for t, w in enumerate(of_late):
+            inside = np.flatnonzero(of_late == w)
+            near = w - 1 if t < 0.5 * (inside[0] + inside[-1]) else w + 1
+            lack = lacks[w]
+            long = plan.edges[inside[-1] + 1] - plan.edges[inside[0]] > WIDEST_S
+            if long and 0 <= near < count and energy[near] > 0.0:
+                lack += lacks[near] * max(1.0, energy[w] / energy[near])
+            share = min(lack**2 / squares[w], 1.0) if squares[w] > 0.0 else 0.0
+            size = np.sqrt(out[t, b] ** 2 + share * own[plan.first + t, b])
+            out[t, b] = np.copysign(size, out[t, b])
+    return out
+
+
 def _smoothed_band(row: np.ndarray, noise: np.ndarray, split: int, plan: DenoisePlan) -> np.ndarray:
     """(late bins, 9) of one band, from the late bins `row` (T, 9), energies alike in all bands, and D `noise` (T,)."""
     edges, low = plan.edges, int(np.argmax(row[:, 0] > 0.0))
@@ -216,13 +241,7 @@ def test_smoothed_bins_are_those_of_the_formulas(onset: int, split: int, lucky: 
     error = np.array([[0.1], [0.6], [0.05]]) * energy
     noise = Noise(difference, error[None, None].astype(np.float32), window)
     smooth_late(table, noise, np.full((1, 1), plan.first + split), plan)
-    d = np.zeros((len(raw), BANDS))
-    d[plan.first :] = difference[0, 0]
-    rest = np.maximum(raw[:, 0] ** 2 - d**2, 0.0)
-    left, known = (np.add.reduceat(x, [0, 40, 80]) for x in (rest, d**2))
-    lacks = np.where(error**2 > denoise._LACKING * known, error**2 - known, 0.0)
-    d = np.copysign(np.sqrt(d**2 + rest * (lacks / np.maximum(left, 1e-300))[window]), d)
-    d = d[plan.first :]
+    d = _noise(raw, difference[0, 0].astype(float), error, window, plan)
     raw = raw[plan.first :]
     for band in range(BANDS):
         expected = _smoothed_band(raw[:, :, band], d[:, band], split, plan)
