@@ -23,6 +23,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.low_method import low_method
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
 from soundspaces_sim.transport.paths import detector
+from soundspaces_sim.transport.paths.box_images import images_length
 from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
@@ -125,7 +126,8 @@ def of_round(model: Model, number: int, subpaths: int) -> Model:
     if asked.walks is not None:
         return fresh
     config = msgspec.structs.replace(asked, walks=subpaths)
-    settings = _settings(config, model.time_edges, len(model.world.patches.weight))
+    images = model.world.settings.images_length
+    settings = _settings(config, model.time_edges, len(model.world.patches.weight), images)
     prepared = replace(model.prepared, config=config)
     return _settled(replace(fresh, prepared=prepared, world=model.world._replace(settings=settings)))
 
@@ -139,8 +141,10 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
         if technique.mark is not None:
             with stage(technique.mark.__name__.replace("_", " ")):
                 facets = technique.mark(facets, prepared, duration)
-    settings = _settings(config, time_edges, len(facets.patches.weight))
     longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
+    corners = scene.corners - scene.center
+    images = images_length(facets.geometry, corners, prepared.surfaces, longest)
+    settings = _settings(config, time_edges, len(facets.patches.weight), images)
     world = World(
         facets.geometry,
         prepared.surfaces,
@@ -160,8 +164,8 @@ def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
     return float(later.min(initial=edges[-1]))
 
 
-def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Settings:
-    """Settings for echograms of these time bins and a scene of so many patches."""
+def _settings(config: SimulationConfig, edges: np.ndarray, patches: int, images: float) -> Settings:
+    """Settings for echograms of these time bins and a scene of so many patches; `images`: `images_length`."""
     end = float(edges[-1]) * config.c
     rounded = round_sizes(config)[0]
     subpaths = rounded * (_SHORT_SUBPATHS if patches else 1)
@@ -180,6 +184,7 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
         connection_depth=_CONNECTION_DEPTH,
         radiance_transfer=patches > 0,
         late_length=_late_from(config, edges) * config.c,
+        images_length=images,
         step=config.time_grid[0][1] * config.c,
         air_step=AIR_STEP,
     )

@@ -42,7 +42,7 @@ from soundspaces_sim.transport.paths.advance import (
     spawn_ray,
 )
 from soundspaces_sim.transport.paths.detect import Carried, Segment, pass_detectors
-from soundspaces_sim.transport.paths.detector import Detectors
+from soundspaces_sim.transport.paths.detector import GROWTH, Detectors
 from soundspaces_sim.transport.paths.guide import (
     Guide,
     Pilots,
@@ -126,12 +126,17 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     state, settings, scratch = paths.state[i], context.world.settings, context.scratch
     tally = scratch.tally[0]
     tally.rays += 1
+    shortest = 0.0
     if state.scattered:
-        wanted = state.length + hit.distance > settings.late_length
+        shortest = settings.late_length
+        wanted = state.length + hit.distance > shortest
     else:
-        wanted = state.reflections > 0 and not (
-            state.by_images and by_images(state.reflections, state.back)
-        )
+        wanted = state.reflections > 0
+        if state.by_images:
+            shortest = settings.images_length
+            wanted = wanted and not by_images(state.reflections, state.back)
+            # the closest approach may lie beyond the segment
+            wanted = wanted and state.length + hit.distance + GROWTH.largest > shortest
     if wanted:
         direction = direction_of(state)
         harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
@@ -139,7 +144,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
         segment = Segment(
             origin=origin_of(state), direction=direction,
             end=min(hit.distance, settings.max_length - state.length), start_length=state.length,
-            shortest=settings.late_length if state.scattered else 0.0, longest=math.inf,
+            shortest=shortest, longest=math.inf,
             key=state.stream, batch=context.batch, share=1.0 / settings.specular,
             # Delta events leave a and b as they are; so do Lambertian ones, without connections, as here.
             events=state.events, sums=mis.start(settings.kappa), material=-1, incident=nowhere, normal=nowhere,
