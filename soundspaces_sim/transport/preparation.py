@@ -41,6 +41,7 @@ _log = logging.getLogger(__name__)
 _CONNECTION_DEPTH = 64  # paths with more events are not connected
 CUT = "cut: "  # begins the note on responses that are
 _SHORT_SUBPATHS = 4  # for each that the config asks for, where they end with the connection window
+_MOST_SPECULAR = 2**14  # subpaths of a point, where there are more for few points
 _VERTEX_SHARE = (
     8.0  # typical number of vertices of a connected subpath, for the MIS count of pairs drawn
 )
@@ -115,7 +116,9 @@ def _settled(model: Model) -> Model:
             settled = technique.settle(model, model.points)
             if settled != model.config:
                 model = replace(model, prepared=replace(model.prepared, config=settled))
-    return model
+    images, patches = model.world.settings.images_length, len(model.world.patches.weight)
+    settings = _settings(model.config, model.time_edges, patches, images)
+    return replace(model, world=model.world._replace(settings=settings))
 
 
 def of_round(model: Model, number: int, subpaths: int) -> Model:
@@ -126,10 +129,7 @@ def of_round(model: Model, number: int, subpaths: int) -> Model:
     if asked.walks is not None:
         return fresh
     config = msgspec.structs.replace(asked, walks=subpaths)
-    images = model.world.settings.images_length
-    settings = _settings(config, model.time_edges, len(model.world.patches.weight), images)
-    prepared = replace(model.prepared, config=config)
-    return _settled(replace(fresh, prepared=prepared, world=model.world._replace(settings=settings)))
+    return _settled(replace(fresh, prepared=replace(model.prepared, config=config)))
 
 
 def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Model:
@@ -174,7 +174,7 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int, images:
     return Settings(
         subpaths=subpaths,
         round=rounded,
-        specular=rounded * config.specular.ratio,
+        specular=_specular_count(config, rounded, images),
         connected=max(connected, 1),
         kappa=subpaths / max(connected, 1),
         vv=1.0 / _VERTEX_SHARE,
@@ -188,6 +188,15 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int, images:
         step=config.time_grid[0][1] * config.c,
         air_step=AIR_STEP,
     )
+
+
+def _specular_count(config: SimulationConfig, subpaths: int, images: float) -> int:
+    """Specular subpaths for so many others of a point. They are cheap, and where points are few, and have transfer
+    subpaths of their own, nearly all noise of late sound is theirs; less of it where there are `images`."""
+    count = subpaths * config.specular.ratio
+    if config.radiance_transfer.subpaths != "own":
+        return count
+    return max(count, min((8 if images > 0.0 else 16) * count, _MOST_SPECULAR))
 
 
 @stage("duration")

@@ -6,8 +6,8 @@ m L + x for even m and at (m + 1) L - x for odd m; its path meets the far wall c
 floor(m / 2) times for m > 0, and the other way round for m < 0. So late sound that nothing scatters, which falls on
 few directions between the hardest walls, is known without noise, where subpaths find it with the most.
 
-Lattices grow with the cube of the length of paths. From `Settings.images_length` on specular subpaths make them, as
-in all other rooms; up to two reflections, and three between two walls, they belong to `arrivals` (`images.by_images`).
+Lattices grow with the cube of the length of paths. Longer ones than `Settings.images_length` are specular subpaths',
+as in all other rooms; up to two reflections, and three between two walls, they are `arrivals`' (`images.by_images`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from soundspaces_sim.transport.tile import Sums, Tile, Walks
 
 _IMAGES = 2**15  # of a source, whose paths are made one by one
 _COSINES = 512  # of angles of incidence, between which logarithms of reflected energies are on a line
-_SAME = 1e-6  # m
+_SAME = 1e-6  # m, or of one
+_THIN = 1e-3  # m
 _LEAST = 1e-300  # energy, so that its logarithm is finite
 
 
@@ -55,51 +56,71 @@ class _Images(NamedTuple):
 
 
 def images_length(geometry: Geometry, corners: np.ndarray, surfaces: Surfaces, longest: float) -> float:
-    """Up to which length, m, images make the specular paths of a scene with these `corners` (F, 3, 3): 0 if it is no
-    empty box whose reflections need not be counted."""
+    """Up to which length, m, images make the specular paths of a scene with these `corners` (F, 3, 3): 0 if it is
+    no empty box whose reflections need not be counted."""
     walls = _walls(geometry, corners, surfaces)
-    if walls is None or group_count(surfaces):
+    if walls is None or group_count(surfaces) or not _are_mirrors(geometry.plane, walls.faces):
         return 0.0
-    volume = float(np.prod(walls[2]))
+    volume = float(np.prod(walls.size))
     return min((3.0 * volume * _IMAGES / (4.0 * math.pi)) ** (1.0 / 3.0), longest)
 
 
-def _walls(
-    geometry: Geometry, corners: np.ndarray, surfaces: Surfaces
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Corner, axes and size as `Box` has them, and the rows (3, 2) of surfaces of the walls; None if a scene is no
-    box."""
-    if len(corners) != 12 or (geometry.plane < 0).any() or len(np.unique(geometry.plane)) != 6:
+class _Walls(NamedTuple):
+    low: np.ndarray  # as `Box` has it
+    axes: np.ndarray
+    size: np.ndarray
+    faces: np.ndarray  # (3, 2, 2) triangles of each wall
+    inner: np.ndarray  # (3, 2, 2) the side on which the room is, 0 in front of the stored normal
+
+
+def _walls(geometry: Geometry, corners: np.ndarray, surfaces: Surfaces) -> _Walls | None:
+    """The walls of a scene that is an empty box, each of one kind of surface; None if it is none."""
+    if len(corners) != 12:
         return None
     flat = corners.reshape(-1, 3)
-    places = flat[unique_rows(np.round(flat / _SAME).astype(np.int64))[0]]
-    if len(places) != 8:
-        return None
+    whole = np.round(flat / _SAME).astype(np.int64)
+    places = flat[unique_rows(whole - whole.min(axis=0))[0]]
     axes = [geometry.normal[0]]
     for normal in geometry.normal[1:]:
         if all(abs(float(normal @ axis)) < _SAME for axis in axes):
             axes.append(normal)
-    if len(axes) != 3:
+    if len(places) != 8 or len(axes) != 3:
         return None
     frame = np.array(axes)
     at = places @ frame.T
     low, high = at.min(axis=0), at.max(axis=0)
-    if (np.minimum(at - low, high - at) > _SAME).any() or (high - low < 1e-3).any():
+    size = high - low
+    if (np.minimum(at - low, high - at) > _SAME).any() or size.min() < _THIN:
         return None
-    material = np.full((3, 2), -1)
-    for wall, (axis, far) in enumerate(np.ndindex(3, 2)):
+    faces, inner = np.zeros((3, 2, 2), np.int64), np.zeros((3, 2, 2), np.int64)
+    for axis, far in np.ndindex(3, 2):
         on_wall = np.abs(corners @ frame[axis] - (high if far else low)[axis]) < _SAME
-        faces = np.flatnonzero(on_wall.all(axis=1))
+        found = np.flatnonzero(on_wall.all(axis=1))
+        area = np.linalg.norm(np.cross(*(np.diff(corners[found], axis=1).swapaxes(0, 1))), axis=1).sum()
+        if len(found) != 2 or abs(area / (2.0 * np.prod(np.delete(size, axis))) - 1.0) > _SAME:
+            return None
         outward = frame[axis] if far else -frame[axis]
-        rows = [geometry.material[f, int(geometry.normal[f] @ outward > 0.0)] for f in faces]
-        area = sum(np.linalg.norm(np.cross(t[1] - t[0], t[2] - t[0])) for t in corners[faces])
-        whole = 2.0 * np.prod(np.delete(high - low, axis))
-        if len(faces) != 2 or abs(area / whole - 1.0) > 1e-6 or not _alike(surfaces, *rows):
+        faces[axis, far], inner[axis, far] = found, geometry.normal[found] @ outward > 0.0
+        if not _alike(surfaces, *geometry.material[found, inner[axis, far]]):
             return None
-        if geometry.plane[faces[0]] != geometry.plane[faces[1]]:
-            return None
-        material[axis, int(far)] = rows[0]
-    return low @ frame, frame, high - low, material
+    return _Walls(low @ frame, frame, size, faces, inner)
+
+
+def outer_sides(geometry: Geometry, corners: np.ndarray, surfaces: Surfaces) -> np.ndarray:
+    """(F, 2) sides of triangles, in front of and behind their normals, that are those of an empty box away from the
+    room: no sound that leaves it meets them."""
+    out = np.zeros((len(corners), 2), bool)
+    walls = _walls(geometry, corners, surfaces)
+    if walls is not None:
+        out[walls.faces.ravel(), 1 - walls.inner.ravel()] = True
+    return out
+
+
+def _are_mirrors(plane: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether each wall, of `faces` (3, 2, 2), is one plane of its own in `plane` (F,)."""
+    of_wall = plane[faces].reshape(6, 2)
+    alike = (of_wall[:, 0] == of_wall[:, 1]).all()
+    return bool(alike and (of_wall >= 0).all() and len(np.unique(of_wall)) == 6)
 
 
 def _alike(surfaces: Surfaces, one: int, other: int) -> bool:
@@ -113,11 +134,12 @@ def box_of(model: Model) -> Box:
     world, scene = model.world, model.scene
     walls = _walls(world.geometry, scene.corners - scene.center, world.surfaces)
     assert walls is not None  # or that length would be 0
-    low, axes, size, material = walls
+    material = world.geometry.material[walls.faces[..., 0], walls.inner[..., 0]].ravel()
     bands = world.air.shape[1]
     kept = np.ones((6, _COSINES + 1, bands))
-    over_rows(_fill, 6, world.surfaces, material.reshape(-1), kept, least=6)
-    return Box(low, axes, size, np.log(np.maximum(kept, _LEAST)).reshape(3, 2, -1, bands))
+    over_rows(_fill, 6, world.surfaces, material, kept, least=6)
+    log = np.log(np.maximum(kept, _LEAST)).reshape(3, 2, -1, bands)
+    return Box(walls.low, walls.axes, walls.size, log)
 
 
 @kernel
@@ -239,9 +261,9 @@ def _add_pairs(
     batches: np.ndarray,
     work: _Images,
 ) -> None:
-    """Add the images of the pairs `first` to `last` of (n, 2) to `there` (A, B, bins, 9, b), `back` (B, A, bins, 9, b)
-    and, alike in every batch, to `batches` (A, B, rows, windows, b). `a`, `b`: points along the box's axes from its
-    corner; a pair has the images of its second point if it is `swapped` (n,)."""
+    """Add the images of the pairs `first` to `last` of (n, 2) to `there` (A, B, bins, 9, b), `back` (B, A, bins, 9,
+    b) and, alike in every batch, to `batches` (A, B, rows, windows, b). `a`, `b`: points along the box's axes from
+    its corner; a pair has the images of its second point if it is `swapped` (n,)."""
     for n in range(first, last):
         i, j = pairs[n, 0], pairs[n, 1]
         if swapped[n]:
@@ -295,5 +317,13 @@ def join(tile: Tile, _of_a: Walks, _of_b: Walks, sums: Sums) -> None:
         none = sums.to_a[:, :, :0]
         arguments = a, b, sums.to_b, none, sums.batches
         over_rows(
-            _add_pairs, len(own), world, box, own, np.zeros(len(own), bool), *arguments, chunk=1, scratch=work
+            _add_pairs,
+            len(own),
+            world,
+            box,
+            own,
+            np.zeros(len(own), bool),
+            *arguments,
+            chunk=1,
+            scratch=work,
         )
