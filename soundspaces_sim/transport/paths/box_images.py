@@ -6,8 +6,8 @@ m L + x for even m and at (m + 1) L - x for odd m; its path meets the far wall c
 floor(m / 2) times for m > 0, and the other way round for m < 0. So late sound that nothing scatters, which falls on
 few directions between the hardest walls, is known without noise, where subpaths find it with the most.
 
-Lattices grow with the cube of the length of paths. Longer ones than `Settings.images_length` are specular subpaths',
-as in all other rooms; up to two reflections, and three between two walls, they are `arrivals`' (`images.by_images`).
+Lattices grow with the cube of the length of paths. Longer paths than `Settings.images_length` are left to specular
+subpaths, as in all other rooms; those of one or two reflections, and of three between two walls, to `arrivals`.
 """
 
 from __future__ import annotations
@@ -58,14 +58,18 @@ class _Images(NamedTuple):
 def images_length(geometry: Geometry, corners: np.ndarray, surfaces: Surfaces, longest: float) -> float:
     """Up to which length, m, images make the specular paths of a scene with these `corners` (F, 3, 3): 0 if it is
     no empty box whose reflections need not be counted."""
-    walls = _walls(geometry, corners, surfaces)
+    walls = find_walls(geometry, corners)
     if walls is None or group_count(surfaces) or not _are_mirrors(geometry.plane, walls.faces):
+        return 0.0
+    if not all(_alike(surfaces, *rows) for rows in _materials(geometry, walls)):
         return 0.0
     volume = float(np.prod(walls.size))
     return min((3.0 * volume * _IMAGES / (4.0 * math.pi)) ** (1.0 / 3.0), longest)
 
 
-class _Walls(NamedTuple):
+class Walls(NamedTuple):
+    """Of an empty box, of two triangles each."""
+
     low: np.ndarray  # as `Box` has it
     axes: np.ndarray
     size: np.ndarray
@@ -73,8 +77,8 @@ class _Walls(NamedTuple):
     inner: np.ndarray  # (3, 2, 2) the side on which the room is, 0 in front of the stored normal
 
 
-def _walls(geometry: Geometry, corners: np.ndarray, surfaces: Surfaces) -> _Walls | None:
-    """The walls of a scene that is an empty box, each of one kind of surface; None if it is none."""
+def find_walls(geometry: Geometry, corners: np.ndarray) -> Walls | None:
+    """The walls of a scene that is an empty box; None if it is none. `corners` (F, 3, 3) m."""
     if len(corners) != 12:
         return None
     flat = corners.reshape(-1, 3)
@@ -101,16 +105,19 @@ def _walls(geometry: Geometry, corners: np.ndarray, surfaces: Surfaces) -> _Wall
             return None
         outward = frame[axis] if far else -frame[axis]
         faces[axis, far], inner[axis, far] = found, geometry.normal[found] @ outward > 0.0
-        if not _alike(surfaces, *geometry.material[found, inner[axis, far]]):
-            return None
-    return _Walls(low @ frame, frame, size, faces, inner)
+    return Walls(low @ frame, frame, size, faces, inner)
 
 
-def outer_sides(geometry: Geometry, corners: np.ndarray, surfaces: Surfaces) -> np.ndarray:
+def _materials(geometry: Geometry, walls: Walls) -> np.ndarray:
+    """(6, 2) rows of surfaces of the triangles of each wall, in the room."""
+    return np.asarray(geometry.material[walls.faces, walls.inner].reshape(6, 2))
+
+
+def outer_sides(geometry: Geometry, corners: np.ndarray) -> np.ndarray:
     """(F, 2) sides of triangles, in front of and behind their normals, that are those of an empty box away from the
     room: no sound that leaves it meets them."""
     out = np.zeros((len(corners), 2), bool)
-    walls = _walls(geometry, corners, surfaces)
+    walls = find_walls(geometry, corners)
     if walls is not None:
         out[walls.faces.ravel(), 1 - walls.inner.ravel()] = True
     return out
@@ -132,9 +139,9 @@ def _alike(surfaces: Surfaces, one: int, other: int) -> bool:
 def box_of(model: Model) -> Box:
     """The box of a model that has `Settings.images_length`: `model.first.once(box_of)`."""
     world, scene = model.world, model.scene
-    walls = _walls(world.geometry, scene.corners - scene.center, world.surfaces)
+    walls = find_walls(world.geometry, scene.corners - scene.center)
     assert walls is not None  # or that length would be 0
-    material = world.geometry.material[walls.faces[..., 0], walls.inner[..., 0]].ravel()
+    material = np.ascontiguousarray(_materials(world.geometry, walls)[:, 0])
     bands = world.air.shape[1]
     kept = np.ones((6, _COSINES + 1, bands))
     over_rows(_fill, 6, world.surfaces, material, kept, least=6)

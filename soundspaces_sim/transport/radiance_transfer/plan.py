@@ -34,6 +34,7 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
 )
 
 DIRECTED = 512  # patches that tell from where sound arrives, if there are more
+_FEW = 5  # points of a job: a source and four listeners
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
 
 
@@ -51,6 +52,7 @@ class TransferPlan(NamedTuple):
     first_bin: int  # of the late bins, among all of an echogram
     edges: np.ndarray  # (late bins + 1,) m
     restore: np.ndarray  # (late bins, b) undoes the decay compensation and applies air
+    few: bool  # the job has so few points that convolutions are sums of products, not of transforms
 
     @property
     def material_groups(self) -> int:
@@ -97,6 +99,7 @@ def make_transfer_plan(model: Model) -> TransferPlan:
         first_bin=first_bin,
         edges=edges,
         restore=_restore(edges, model.once(late_decay).rate, model.config),
+        few=0 < model.points <= _FEW,
     )
 
 

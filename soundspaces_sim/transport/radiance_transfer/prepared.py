@@ -24,6 +24,7 @@ from soundspaces_sim.transport.radiance_transfer.patch_construction import make_
 from soundspaces_sim.transport.radiance_transfer.patch_size import patch_size
 from soundspaces_sim.transport.radiance_transfer.patches import Patches
 from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
+    events_of_pilots,
     own_continuations,
     pilot_decay,
     subpath_count,
@@ -148,6 +149,12 @@ def _pilot_decay(model: Model) -> Decay:
     return pilot_decay(model.world, model.seed)
 
 
+@stage("late decay")
+def pilot_events(model: Model) -> float:
+    """Events of a transfer subpath, in the mean, as far as pilots tell: `model.first.once(pilot_events)`."""
+    return events_of_pilots(model.world, model.seed)
+
+
 @stage("groups of patches")
 def patch_groups(model: Model) -> np.ndarray:
     """(C,) groups of patches, for batch variances: `model.first.once(patch_groups)`."""
@@ -161,7 +168,7 @@ def _patches(prepared: PreparedScene) -> Patches:
     scattered *= air_on_sides(geometry, prepared.surfaces, corners, scene.areas, prepared.thin)[
         :, :, None
     ]
-    scattered[outer_sides(geometry, corners, prepared.surfaces)] = 0.0
+    scattered[outer_sides(geometry, corners)] = 0.0
     return cached_on_disk(
         Patches,
         (scene_key(scene), fingerprint(scattered)),
