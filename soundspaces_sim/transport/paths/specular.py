@@ -83,7 +83,7 @@ from soundspaces_sim.transport.tile import Side
 _STREAM = 0x5BEC  # keeps these subpaths' numbers apart from those of `subpath`
 _STEP = 6.0  # m between two looks at the weights
 _KEPT = 40.0  # subpaths for each that carries the mean energy of all sound at its length
-_PILOTED = 8  # specular subpaths for each of a round, at most, for which there are pilots
+_PILOTED = 32  # specular subpaths for each of a round, at most, for which there are pilots
 _EVENTS = 24  # first reflections of a subpath that there is room for at first; rooms are taken as they are filled
 
 
