@@ -20,6 +20,7 @@ from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
+from soundspaces_sim.transport.bsdf import COUNT, SPECULAR, TRANSMISSION
 from soundspaces_sim.transport.low_method import low_method
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
 from soundspaces_sim.transport.paths import detector
@@ -41,7 +42,9 @@ _log = logging.getLogger(__name__)
 _CONNECTION_DEPTH = 64  # paths with more events are not connected
 CUT = "cut: "  # begins the note on responses that are
 _SHORT_SUBPATHS = 4  # for each that the config asks for, where they end with the connection window
-_MOST_SPECULAR = 2**14  # subpaths of a point, where there are more for few points
+#: For few points there are up to so many times more specular subpaths, 2**14 at most, in proportion to what is left
+#: of energy after some reflections without having been scattered.
+_MORE_WITH_IMAGES, _MORE, _REFLECTIONS, _MOST_SPECULAR = 11.0, 23.0, 6, 2**14
 _VERTEX_SHARE = (
     8.0  # typical number of vertices of a connected subpath, for the MIS count of pairs drawn
 )
@@ -117,7 +120,8 @@ def _settled(model: Model) -> Model:
             if settled != model.config:
                 model = replace(model, prepared=replace(model.prepared, config=settled))
     images, patches = model.world.settings.images_length, len(model.world.patches.weight)
-    settings = _settings(model.config, model.time_edges, patches, images)
+    mirrored = model.prepared.once(_mirrored)
+    settings = _settings(model.config, model.time_edges, patches, images, mirrored)
     return replace(model, world=model.world._replace(settings=settings))
 
 
@@ -144,7 +148,8 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
     longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
     corners = scene.corners - scene.center
     images = images_length(facets.geometry, corners, prepared.surfaces, longest)
-    settings = _settings(config, time_edges, len(facets.patches.weight), images)
+    mirrored = prepared.once(_mirrored)
+    settings = _settings(config, time_edges, len(facets.patches.weight), images, mirrored)
     world = World(
         facets.geometry,
         prepared.surfaces,
@@ -164,8 +169,11 @@ def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
     return float(later.min(initial=edges[-1]))
 
 
-def _settings(config: SimulationConfig, edges: np.ndarray, patches: int, images: float) -> Settings:
-    """Settings for echograms of these time bins and a scene of so many patches; `images`: `images_length`."""
+def _settings(
+    config: SimulationConfig, edges: np.ndarray, patches: int, images: float, mirrored: float
+) -> Settings:
+    """Settings for echograms of these time bins and a scene of so many patches; `images`: `images_length`;
+    `mirrored`: `_mirrored`."""
     end = float(edges[-1]) * config.c
     rounded = round_sizes(config)[0]
     subpaths = rounded * (_SHORT_SUBPATHS if patches else 1)
@@ -174,7 +182,7 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int, images:
     return Settings(
         subpaths=subpaths,
         round=rounded,
-        specular=_specular_count(config, rounded, images),
+        specular=_specular_count(config, rounded, images, mirrored),
         connected=max(connected, 1),
         kappa=subpaths / max(connected, 1),
         vv=1.0 / _VERTEX_SHARE,
@@ -190,13 +198,23 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int, images:
     )
 
 
-def _specular_count(config: SimulationConfig, subpaths: int, images: float) -> int:
-    """Specular subpaths for so many others of a point. They are cheap, and where points are few, and have transfer
-    subpaths of their own, nearly all noise of late sound is theirs; less of it where there are `images`."""
+def _specular_count(config: SimulationConfig, subpaths: int, images: float, mirrored: float) -> int:
+    """Specular subpaths for so many others of a point. They are cheap. Where points are few, and have transfer
+    subpaths of their own, nearly all noise of late sound is theirs, if surfaces scatter little; less of it where
+    there are `images`. `mirrored`: `_mirrored`."""
     count = subpaths * config.specular.ratio
     if config.radiance_transfer.subpaths != "own":
         return count
-    return max(count, min((8 if images > 0.0 else 16) * count, _MOST_SPECULAR))
+    times = 1.0 + (_MORE_WITH_IMAGES if images > 0.0 else _MORE) * mirrored**_REFLECTIONS
+    return max(count, min(int(times * subpaths) * config.specular.ratio, _MOST_SPECULAR))
+
+
+def _mirrored(prepared: PreparedScene) -> float:
+    """Share of what surfaces reflect that is mirrored, by area and in the mean over bands."""
+    energy = prepared.surfaces.energy[prepared.geometry.material].mean(axis=(1, 3))  # (F, lobes)
+    back = np.array([energy[:, lobe] for lobe in range(COUNT) if lobe != TRANSMISSION]).sum(axis=0)
+    whole = float(prepared.scene.areas @ back)
+    return float(prepared.scene.areas @ energy[:, SPECULAR]) / whole if whole > 0.0 else 0.0
 
 
 @stage("duration")
