@@ -17,12 +17,14 @@ from soundspaces_sim.scene.scene import scene_key
 from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
 from soundspaces_sim.transport.element_depths import air_on_sides
 from soundspaces_sim.transport.model import Model, PreparedScene
+from soundspaces_sim.transport.paths.box_images import outer_sides
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import Decay
 from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
 from soundspaces_sim.transport.radiance_transfer.patch_size import patch_size
 from soundspaces_sim.transport.radiance_transfer.patches import Patches
 from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
+    events_of_pilots,
     own_continuations,
     pilot_decay,
     subpath_count,
@@ -88,7 +90,7 @@ def settle(model: Model, points: int) -> SimulationConfig:
     """``auto`` transfer subpaths as ``own`` or ``shared`` ones, whichever is less to trace for a job's points.
 
     All of them thin out alike with length, so their number tells the cost. Own ones bring no more noise: those of
-    two points are independent, and a point has as many as half of its specular subpaths.
+    two points are independent, and noise is rather that of first reflections, of which points then have more.
     """
     config = model.config
     chosen = config.radiance_transfer
@@ -147,6 +149,12 @@ def _pilot_decay(model: Model) -> Decay:
     return pilot_decay(model.world, model.seed)
 
 
+@stage("late decay")
+def pilot_events(model: Model) -> float:
+    """Events of a transfer subpath, in the mean, as far as pilots tell: `model.first.once(pilot_events)`."""
+    return events_of_pilots(model.world, model.seed)
+
+
 @stage("groups of patches")
 def patch_groups(model: Model) -> np.ndarray:
     """(C,) groups of patches, for batch variances: `model.first.once(patch_groups)`."""
@@ -160,6 +168,7 @@ def _patches(prepared: PreparedScene) -> Patches:
     scattered *= air_on_sides(geometry, prepared.surfaces, corners, scene.areas, prepared.thin)[
         :, :, None
     ]
+    scattered[outer_sides(geometry, corners)] = 0.0
     return cached_on_disk(
         Patches,
         (scene_key(scene), fingerprint(scattered)),

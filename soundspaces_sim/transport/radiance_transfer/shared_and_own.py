@@ -25,7 +25,6 @@ from soundspaces_sim.transport.tables import BATCHES
 
 _STREAM = 0x3D1E  # keeps these random numbers apart from those of points' subpaths
 _PER_SUBPATH = 8  # transfer subpaths of a scene, at least, for each subpath of a point
-_OWN = 2  # specular subpaths of a point for each of its own transfer subpaths; one each brings no less noise
 _MOST_RISE = 13.0  # nepers: single precision leaves early energies 3 % then
 _PILOTS = 256  # subpaths that tell how much others leave
 _DECAY_PILOTS, _MARGIN = 4, 0.7  # populations of pilots that tell the decay; part of it that counts
@@ -48,8 +47,9 @@ def subpath_count(world: World) -> int:
 
 
 def own_continuations(world: World) -> int:
-    """First reflections of a batch of a point that are carried on, where points have subpaths of their own."""
-    return max(world.settings.specular // (BATCHES * _OWN), 1)
+    """First reflections of a batch of a point that are carried on, where points have subpaths of their own: as many
+    as subpaths of a round. Twice as many bring no less noise."""
+    return max(world.settings.round // BATCHES, 1)
 
 
 def shared_populations(world: World, seed: int) -> Populations:
@@ -75,20 +75,27 @@ def own_populations(patch: np.ndarray, keys: np.ndarray) -> Populations:
 def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
     """Trace the shared transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
     patches = len(world.patches.weight)
-    events = trace_populations(world, shared_populations(world, seed), _pilots(world, _scene_key(seed)))
+    events = trace_populations(world, shared_populations(world, seed), events_of_pilots(world, seed))
     subpaths = by_origin(events, patches, patches)
     decay, reach = fit_decay(subpaths.length, subpaths.energy)
     compensate_decay(subpaths.length, decay, reach, subpaths.energy)
     return subpaths._replace(decay=decay, reach=reach)
 
 
+def events_of_pilots(world: World, seed: int) -> float:
+    """How many events pilots of a world leave, in the mean."""
+    pilots = _pilots(world, _scene_key(seed))
+    found = trace_populations(world, pilots, None)
+    return float(found.count[0]) / len(pilots.patch[0])
+
+
 def trace_own_subpaths(
-    world: World, seed: int, patch: np.ndarray, keys: np.ndarray, decay: Decay
+    world: World, patch: np.ndarray, keys: np.ndarray, decay: Decay, each: float
 ) -> TransferSubpaths:
     """Trace transfer subpaths of N points alone, those of `own_populations`; `decay`, by which they are
-    compensated. Raises `ConfigError` if there is no memory for them."""
+    compensated; `each`: events that one leaves, about. Raises `ConfigError` if there is no memory for them."""
     populations = own_populations(patch, keys)
-    events = trace_populations(world, populations, _pilots(world, _scene_key(seed)))
+    events = trace_populations(world, populations, each)
     subpaths = by_origin(events, patch.shape[2], len(world.patches.weight))
     compensate_decay(subpaths.length, decay.rate, decay.reach, subpaths.energy)
     first = [*subpaths.start[::BATCHES, 0], len(subpaths.length)]  # of the events of each point

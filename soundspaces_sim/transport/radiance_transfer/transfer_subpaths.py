@@ -236,8 +236,8 @@ def _trace(
             resample(paths, settings, limit, stage, draw, most)
 
 
-def trace_populations(world: World, populations: Populations, pilots: Populations | None) -> _Events:
-    """What populations leave. There is room at first for some more than their like `pilots` leave."""
+def trace_populations(world: World, populations: Populations, each: float | None) -> _Events:
+    """What populations leave. There is room at first for some more events than `each` leaves as pilots have it."""
     rows, slots = populations.patch.shape
     bands, groups = world.air.shape[1], group_count(world.surfaces)
     pool = world._replace(settings=world.settings._replace(connected=0))
@@ -246,9 +246,8 @@ def trace_populations(world: World, populations: Populations, pilots: Population
         return empty_paths(slots, bands, world.surfaces.proposal.shape[1], groups)
 
     capacity = slots * _EVENTS
-    if pilots is not None:
-        few = trace_populations(world, pilots, None)
-        capacity = int(_MARGIN * few.count[0] / len(few.patch[0]) * slots)
+    if each is not None:
+        capacity = int(_MARGIN * each * slots)
     while True:
         shape = rows, capacity
         # as they come, and once more in order
