@@ -98,7 +98,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
         simulation=quick(walks=_FEW, **PLAIN),  # enough to tell which ear is louder
     )
     scene = ss.load_scene("demo")
-    points = ss.make_grid(scene, 1.0).points[:10]  # the texts speak of these
+    points = ss.make_grid(scene, 1.0).points[:13]  # the texts speak of these
     ss.build_dataset(scene, folder / "out", config, points=points)
     return folder
 
