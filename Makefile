@@ -3,7 +3,9 @@ SHELL := /bin/sh
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-# Python compiles what it imports: not all of every package, which takes as long as the rest of the installation.
+# Python compiles what it imports, and keeps it: not all of every package, which takes as long as the rest of the
+# installation. Where the environment forbids to keep it, each of the tests' processes would compile it anew.
+export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 SCENE ?= demo
@@ -29,6 +31,8 @@ ARGS ?=
 BENCH ?= all
 BASE ?= main
 HOMES ?= 1000
+# What `make lint` checks the types of, with what that imports; empty for neighbours too.
+TYPED ?= -p soundspaces_sim -p tests -p benchmarks
 NEIGHBOURS := $(patsubst neighbours/%/pyproject.toml,%,$(wildcard neighbours/*/pyproject.toml))
 
 .DEFAULT_GOAL := help
@@ -119,7 +123,7 @@ docs: $(VENV)/.documented ## The documentation as a site, in build/site
 	@echo "build/site/index.html"
 
 check: $(VENV)/.tested ## Lint and the quick tests of what changed since main (BASE=other branch): before a commit
-	@$(MAKE) --no-print-directory lint
+	@$(MAKE) --no-print-directory lint TYPED=
 	$(BIN)/python -m tests.changed $(BASE)
 
 test: $(VENV)/.tested ## Lint, types, layers, tests
@@ -141,7 +145,8 @@ test-arrays: $(VENV)/.tested ## The engine's tests with rays from arrays, as on 
 test-extras: ## What `make test` skips for want of extras: IFC, browser, Ray, learning, PTX, in .venv-extras (ARGS=GROUP for one)
 	$(PYTHON) -m tests.extras --torch-index "$(TORCH_INDEX)" $(ARGS)
 
-test-neighbours: $(VENV)/.neighbours ## The tests of what lies in neighbours/, each installed there
+test-neighbours: $(VENV)/.neighbours ## Types and tests of what lies in neighbours/, each installed there
+	$(BIN)/mypy
 	$(BIN)/python -m soundspaces_sim.build.warm_up
 	$(BIN)/python -m pytest neighbours $(ARGS)
 
@@ -157,7 +162,7 @@ wheels: $(VENV)/.tested ## Build the distributions into dist/, install them into
 lint: $(VENV)/.tested ## ruff, mypy, import-linter
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/mypy $(TYPED)
 	$(BIN)/lint-imports
 
 bench: $(VENV)/.tested ## All benchmarks, stored, and benchmarks/RESULTS.md (hours; BENCH="speed.startup …" for some)

@@ -8,6 +8,7 @@ from tests.conftest import (
     neighbours_installed as neighbours_installed,
     own_cache as own_cache,
     own_cores as own_cores,
+    pytest_collection as pytest_collection,
     shared as shared,
     small_scene as small_scene,
 )

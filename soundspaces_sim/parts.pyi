@@ -290,6 +290,7 @@ from .rendering.waves import (
 )
 from .scene.adopt import concatenate_parts
 from .scene.enclosure import check_ends, check_inside, closedness
+from .scene.formats.elsewhere import find_gibson, find_hm3d
 from .scene.formats.gltf import (
     PLACES as GLTF_PLACES,
     Buffers as GltfBuffers,
@@ -573,6 +574,8 @@ __all__ = [
     "files_beside",
     "find_entry",
     "find_floors",
+    "find_gibson",
+    "find_hm3d",
     "find_matterport",
     "first_loud",
     "floor_heights",

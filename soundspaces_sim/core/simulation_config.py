@@ -41,6 +41,8 @@ def with_switches(simulation: Mapping[str, Any]) -> dict[str, Any]:
 _CONSTANT: dict[str, Any] = {
     "least_distance": LEAST_DISTANCE,
     "air_in_bands": "mean",
+    "pressure_kpa": 101.325,
+    "low": {"reactance": 0.0},
     "connections": {"per_vertex": 1},
     "receiver_volumes": {"radius_min": 0.1, "radius_growth": 0.05, "radius_max": 1.0},
 }
@@ -62,10 +64,7 @@ def without_constants(simulation: Any, constant: Mapping[str, Any] = _CONSTANT) 
 
 #: Bounds of settings: far beyond what is of use, and short of what would fill memory or never end.
 _MOST_WORK = {"walks": (1, 1_000_000), "max_bounces": (1, 1_000_000), "max_walks": (1, 100_000_000)}
-_ABOVE = {
-    "target_error": (0.0, 100.0, ""),
-    "pressure_kpa": (0.0, 200.0, "kPa"),
-}
+_ABOVE = {"target_error": (0.0, 100.0, "")}
 _BETWEEN = {
     "duration": (1e-3, LONGEST, "s"),
     "max_duration": (1e-3, LONGEST, "s"),
@@ -156,22 +155,15 @@ class LowConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True)
     (neighbours/waves/README.md). Energies stay as they are; renderers take the waves below the edge.
 
     `method`: ``waves`` runs a finite-difference solver once per point. `edge`: below which waves are simulated,
-    Hz; not set, the first band's. `cells_per_wavelength`: of the lattice, at the edge. `reactance`: a table of
-    absorption does not tell the phase of an impedance; this is Im/Re that every wall has beside what its table
-    asks for (negative: stiffness)."""
+    Hz; not set, the first band's. `cells_per_wavelength`: of the lattice, at the edge."""
 
     stage: ClassVar[str] = "simulation.low"
     method: Literal["rays", "waves"] = "rays"
     edge: float | None = None  # Hz
     cells_per_wavelength: float = 12.0
-    reactance: float = 0.0
 
     def __post_init__(self) -> None:
-        limits = {
-            "edge": (30.0, 2000.0, "Hz"),
-            "cells_per_wavelength": (6.0, 40.0, ""),
-            "reactance": (-10.0, 10.0, ""),
-        }
+        limits = {"edge": (30.0, 2000.0, "Hz"), "cells_per_wavelength": (6.0, 40.0, "")}
         require_between(self, self.stage, limits)
 
 
@@ -196,7 +188,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     measured length, at most, s. `decay_range_db`: by which energy falls within a measured length, dB.
     `time_grid`: pairs of a time and the width of the bins from there on, s. `speed_of_sound`: m/s; not set, it
     follows from the temperature. `air_absorption`: as ISO 9613-1 has it. `temperature_c`: of the air, °C.
-    `humidity_percent`: relative, %. `pressure_kpa`: of the air, kPa.
+    `humidity_percent`: relative, %; its pressure is that at sea level.
     """
 
     stage: ClassVar[str] = "simulation"
@@ -223,7 +215,6 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
     air_absorption: bool = True
     temperature_c: float = 20.0
     humidity_percent: float = 50.0
-    pressure_kpa: float = 101.325
 
     @classmethod
     def _given(cls, given: dict[str, Any]) -> dict[str, Any]:
@@ -293,12 +284,7 @@ class SimulationConfig(Settings, frozen=True, kw_only=True, forbid_unknown_field
         and renderers put back the course within it."""
         if not self.air_absorption:
             return None
-        return Air(
-            self.temperature_c,
-            self.humidity_percent,
-            self.pressure_kpa,
-            self.c,
-        )
+        return Air(self.temperature_c, self.humidity_percent, speed_of_sound=self.c)
 
 
 def of_dataset(config: SimulationConfig) -> SimulationConfig:

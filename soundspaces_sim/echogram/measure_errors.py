@@ -611,7 +611,7 @@ def measure_errors(
     windows = batches.shape[3]
     out = np.empty((len(pairs.wanted), len(MEASURES), bands))
     samples = _Samples(
-        batches.reshape(count, *batches.shape[2:]),
+        np.ascontiguousarray(batches).reshape(count, *batches.shape[2:]),  # one kernel is enough
         difference.reshape(count, *difference.shape[2:]),
         np.searchsorted(window, np.arange(windows + 1)),
         signs,

@@ -248,7 +248,7 @@ def _verify_damaged(folder: Path, damages: int, rng: np.random.Generator) -> lis
 
 
 def test_verify_finds_damaged_bytes(folder: Path) -> None:
-    assert not _verify_damaged(folder, 60, np.random.default_rng(0))
+    assert not _verify_damaged(folder, 15, np.random.default_rng(0))
     assert verify_dataset(folder, full=True)[1] == []
 
 

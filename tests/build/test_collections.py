@@ -108,14 +108,14 @@ def test_scenes_are_one_job(tmp_path: Path) -> None:
         loaded.append(room.name)
         return room
 
-    results = build_datasets([partial(load, r) for r in rooms], tmp_path / "all", small_job(tile=2))
+    results = build_datasets([partial(load, r) for r in rooms], tmp_path / "all", small_job(tile=4))
     assert loaded == ["hall", "cell"]
     assert [r.folder.name for r in results] == ["hall", "cell"]
     for room, result in zip(rooms, results, strict=True):
         assert result.manifest.complete and result.built == result.shards
-        alone = ss.build_dataset(room, tmp_path / "alone", small_job(tile=2))
+        alone = ss.build_dataset(room, tmp_path / "alone", small_job(tile=4))
         assert hashes(alone.folder) == hashes(result.folder)
-    again = build_datasets(rooms, tmp_path / "all", small_job(tile=2))
+    again = build_datasets(rooms, tmp_path / "all", small_job(tile=4))
     assert [r.built for r in again] == [0, 0]
     with pytest.raises(ss.ConfigError, match="two of the scenes are called hall"):
         build_datasets([rooms[0], rooms[0]], tmp_path / "twice", small_job())

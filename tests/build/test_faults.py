@@ -145,6 +145,7 @@ except ss.DatasetError as error:
 """
 
 
+@ci_slow
 def test_file_size_limit_is_an_error_and_leaves_nothing_half(tmp_path: Path) -> None:
     result = _run(_LIMITED, str(tmp_path))
     assert result.returncode == 2, result.stderr
@@ -206,6 +207,7 @@ def test_another_builder_finishes_between_two_looks(
         finish.finish_folder(dataset_folder)
 
 
+@ci_slow
 def test_verify_finds_every_flipped_byte(tmp_path: Path) -> None:
     folder = tmp_path / "d"
     shutil.copytree(ROOT / "tests" / "golden" / "echogram-8", folder)

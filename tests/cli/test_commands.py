@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import soundspaces_sim as ss
 from soundspaces_sim.cli import neighbours
 from soundspaces_sim.cli.app import app
+from tests.command_line import run_command
 
 SCENE_OPTIONS = (
     "--materials",
@@ -87,10 +88,7 @@ def test_version_and_help_load_nothing_that_computes(tmp_path: Path) -> None:
 def test_scene_options_reach_the_scene(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text("this is not TOML")
     for arguments in (["inspect", "demo", "--materials", "own.toml"], ["rirs", "demo", "--up", "x"]):
-        done = subprocess.run(
-            [sys.executable, "-m", "soundspaces_sim.cli", *arguments], cwd=tmp_path, capture_output=True,
-            text=True, env={"PYTHONPATH": str(Path(ss.__file__).parents[1])},
-        )  # fmt: skip
+        done = run_command(*arguments, cwd=tmp_path)
         assert done.returncode == 2 and ("own.toml" in done.stderr or "up:" in done.stderr)
 
 

@@ -25,7 +25,7 @@ TOO_MUCH: dict[Any, dict[str, tuple[Any, ...]]] = {
         "max_walks": (0, 10**12), "duration": (0.0, 1e9, math.inf, math.nan), "max_duration": (0.0, 1e9, math.nan),
         "decay_range_db": (1.0, 1e9, math.nan),
         "speed_of_sound": (0.0, 1e-9, 1e9, math.nan), "temperature_c": (-300.0, 1e9, math.nan),
-        "humidity_percent": (-1.0, 101.0, math.nan), "pressure_kpa": (0.0, 1e9, math.nan),
+        "humidity_percent": (-1.0, 101.0, math.nan),
         "bands": ((0.0, 1e12), tuple(range(100)), (0.0, math.nan)), "time_grid": (((0.0, 1e-8),), ((0.0, math.nan),)),
     },
     ss.SpecularConfig: {"ratio": (0, 10**6)},

@@ -91,13 +91,21 @@ def test_settings_that_are_constants_now_are_taken_out_of_files_where_they_have_
         "walks": 5,
         "least_distance": 0.05,
         "air_in_bands": "mean",
+        "pressure_kpa": 101.325,
+        "low": {"reactance": 0.0, "edge": 200.0},
         "connections": {"per_vertex": 1, "window": 0.1},
         "receiver_volumes": {"radius_min": 0.1, "radius_growth": 0.05, "radius_max": 1.0},
     }
-    assert without_constants(stored) == {"walks": 5, "connections": {"window": 0.1}}
+    assert without_constants(stored) == {
+        "walks": 5,
+        "low": {"edge": 200.0},
+        "connections": {"window": 0.1},
+    }
     for other in (
         {"least_distance": 0.1},
         {"air_in_bands": "centre"},
+        {"pressure_kpa": 83.0},
+        {"low": {"reactance": -1.0}},
         {"connections": {"per_vertex": 2}},
         {"receiver_volumes": {"radius_max": 1.5}},
     ):

@@ -22,7 +22,7 @@ RUNS, BATCHES, BANDS = 1500, 16, 4
 EDGES = np.concatenate([np.arange(50) * 0.001, 0.05 + np.arange(126) * 0.005])
 WINDOW = np.minimum((EDGES[:-1] / 0.04).astype(int), 16)
 NONE = Arrivals(np.empty(0), np.empty((0, BANDS)), np.empty((0, 3)), np.empty((0, 2), np.int64))
-APART = np.zeros((RUNS, 1, 0, BANDS))  # nothing is known of either end alone
+APART = np.zeros((RUNS, 1, 0, BANDS), np.float32)  # nothing is known of either end alone
 RATES = 13.8 / np.array([0.3, 0.4, 0.5, 0.6])  # of energy, 1/s
 
 

@@ -19,7 +19,7 @@ SMALL = ss.SimulationConfig(walks=32, duration=0.2)
 
 
 def test_points_above_tables_go(tmp_path: Path) -> None:
-    scene = ss.load_scene("home-0")
+    scene = ss.load_scene("demo")
     config = ss.GridConfig(spacing=1.0, rays=100)
     grid = ss.make_grid(scene, config=config)
     graph = make_graph(scene, grid, GraphConfig())

@@ -122,7 +122,7 @@ def test_flats_above_each_other_are_storeys_and_are_flagged() -> None:
     assert storeys.walked.sum() == 1
     # 6 x 5 m less 0.3 m along the walls, to a cell of 0.1 m
     np.testing.assert_allclose(storeys.area, 5.4 * 4.4, rtol=0.06)
-    report = inspect_scene(scene)
+    report = inspect_scene(scene, ss.GridConfig(rays=100))
     np.testing.assert_array_equal(report.storey_points, [120, 120])
     text = report_text(report)
     assert "cannot be walked onto" in text and "Nothing looks wrong" not in text

@@ -16,6 +16,7 @@ from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer.first_reflections import room_for
 from soundspaces_sim.transport.state import Emitters, Receivers, Settings, Tables, emitters_of
 from soundspaces_sim.transport.tile import make_side, make_sums, make_tile
+from tests.marks import ci_slow
 from tests.rooms import box, plain, table
 
 LENGTH = 64.0  # m
@@ -72,6 +73,7 @@ def _followed(step: float) -> tuple[np.ndarray, np.ndarray]:
     return work.paths.state.copy(), sums.to_b[0]
 
 
+@ci_slow
 def test_subpaths_go_on_alike_wherever_they_are_cut() -> None:
     """All 64 m of one subpath after the other, and 4 m of all in turn: the same places and directions to the bit,
     and the same energy at detectors but for the order of its sums."""
@@ -90,6 +92,7 @@ def _resample(first: int, last: int, paths: Paths, settings: Settings) -> None:
         resample(paths, settings, 6.0 * (stage + 1), stage + 1, 0.5, len(paths.alive))
 
 
+@ci_slow
 def test_copies_of_one_subpath_have_different_numbers() -> None:
     """Made at two stages between which it met nothing, as in a hall."""
     model = make_model(box((4.0, 3.0, 2.5), table([0.1], 0.4), 0), POINTS, plain(walks=64, duration=0.1))

@@ -53,7 +53,9 @@ def _smoothed(
     ratio = np.random.default_rng(7).uniform(-1.0, 1.0, (*raw.shape[:2], 8, BANDS))
     table[0, :, :, 1:] = ratio * raw[:, :, None]
     late = np.ascontiguousarray(difference[None, :, plan.first :], np.float32)
-    noise = Noise(late, np.zeros((*late.shape[:2], 1, BANDS)), np.zeros(table.shape[2], np.int64))
+    noise = Noise(
+        late, np.zeros((*late.shape[:2], 1, BANDS), np.float32), np.zeros(table.shape[2], np.int64)
+    )
     smooth_late(table, noise, np.full((1, len(raw)), split), plan)
     within = np.abs(table[0, :, :, 1:]) <= table[0, :, :, :1] * (1.0 + 1e-5)
     assert within.all() and (table[0, :, :, 0] >= 0.0).all()
@@ -135,7 +137,7 @@ def test_what_is_not_a_number_stays_so() -> None:
         table[0, :, :, 0] = raw[:1]
         table[0, 0, 100, 0, 2] = bad
         late = difference[None, :1, plan.first :].astype(np.float32)
-        unknown = np.zeros((1, 1, 1, BANDS))
+        unknown = np.zeros((1, 1, 1, BANDS), np.float32)
         noise = Noise(late, unknown, np.zeros(raw.shape[1], np.int64))
         smooth_late(table, noise, np.zeros((1, 1), np.int64), plan)
         assert not np.isfinite(table[0, 0, :, 0, 2]).all()
@@ -279,7 +281,8 @@ def test_what_few_subpaths_bring_is_no_echo(common: bool) -> None:
     of_time = np.add.reduceat(lucky**2, [0, *np.flatnonzero(np.diff(window)) + 1], axis=1)
     table = np.zeros((1, *raw.shape[:2], 9, BANDS), np.float32)
     table[0, :, :, 0] = raw
-    noise = Noise(difference[None, :, plan.first :], np.sqrt(of_time)[None], window)
+    parts = difference[None, :, plan.first :], np.sqrt(of_time)[None]
+    noise = Noise(*(x.astype(np.float32) for x in parts), window)
     smooth_late(table, noise, np.full((1, RUNS), plan.first), plan)
     found = table[0, :, :, 0].astype(float)
     assert (_rises(raw, truth) > 6.0).mean() > 0.1

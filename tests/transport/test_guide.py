@@ -1,6 +1,7 @@
 """Directions along which specular subpaths are sent."""
 
 import numpy as np
+import pytest
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.rng import point_keys
@@ -18,6 +19,7 @@ from soundspaces_sim.transport.paths.guide import (
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.tables import harmonics
+from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, table
 
 
@@ -75,19 +77,20 @@ def _between_hard_walls(*soft: float) -> Guide:
     return guide
 
 
-def test_weighted_directions_are_even() -> None:
+@pytest.mark.parametrize("learnt", [False, pytest.param(True, marks=CI_SLOW)])
+def test_weighted_directions_are_even(learnt: bool) -> None:
     """Integrals of the nine harmonics over the sphere, by a fine grid: 1 and eight zeros, whatever the
     density."""
-    rng = np.random.default_rng(0)
-    for guide in (_guide(rng.uniform(0.3, 4.0, (CELLS, CELLS))), _between_hard_walls(0.9)):
-        assert abs(guide.density.mean() - 1.0) < 1e-9
-        uv = _grid(384)
-        out, y = np.empty((len(uv), 4)), np.empty((len(uv), 9))
-        over_rows(_sample, len(uv), guide, uv, out)
-        over_rows(_harmonics, len(uv), np.ascontiguousarray(out[:, :3]), y)
-        mean = (y / out[:, 3:]).mean(axis=0)
-        np.testing.assert_allclose(np.linalg.norm(out[:, :3], axis=1), 1.0, atol=1e-12)
-        np.testing.assert_allclose(mean, np.eye(9)[0], atol=4e-3)
+    drawn = np.random.default_rng(0).uniform(0.3, 4.0, (CELLS, CELLS))
+    guide = _between_hard_walls(0.9) if learnt else _guide(drawn)
+    assert abs(guide.density.mean() - 1.0) < 1e-9
+    uv = _grid(384)
+    out, y = np.empty((len(uv), 4)), np.empty((len(uv), 9))
+    over_rows(_sample, len(uv), guide, uv, out)
+    over_rows(_harmonics, len(uv), np.ascontiguousarray(out[:, :3]), y)
+    mean = (y / out[:, 3:]).mean(axis=0)
+    np.testing.assert_allclose(np.linalg.norm(out[:, :3], axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(mean, np.eye(9)[0], atol=4e-3)
 
 
 def test_even_density_is_the_plain_sphere() -> None:
@@ -98,6 +101,7 @@ def test_even_density_is_the_plain_sphere() -> None:
     np.testing.assert_allclose(out, np.column_stack([plain_sphere, np.ones(len(uv))]), atol=1e-12)
 
 
+@ci_slow
 def test_density_follows_hard_walls() -> None:
     """Subpaths go to and fro between the two hard walls, which face each other along y."""
     guide = _between_hard_walls(0.9)
@@ -110,6 +114,7 @@ def test_density_follows_hard_walls() -> None:
     assert out[along, 3].mean() > 5.0
 
 
+@ci_slow
 def test_where_nothing_is_mirrored_the_density_stays_even() -> None:
     scene = box((4.0, 3.0, 2.5), table(0.2, 1.0))
     points = np.array([[1.0, 1.0, 1.0]])

@@ -105,6 +105,7 @@ def test_rooms_of_any_absorption(absorption: float) -> None:
     assert np.isfinite(echoes.energy).all() and (echoes.energy[:, :, :, 0] >= 0.0).all()
 
 
+@ci_slow
 def test_an_open_scene_keeps_late_sound() -> None:
     """Most subpaths leave a yard at once; what a few bring back late is not dropped with the pilots' reach."""
     floor = ss.shoebox((8.0, 8.0, 3.0), absorption={"ceiling": 1.0, **dict.fromkeys(

@@ -23,6 +23,7 @@ from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
     trace_transfer_subpaths,
 )
 from soundspaces_sim.transport.state import World
+from tests.marks import ci_slow
 from tests.rooms import box, plain, table, two_rooms
 
 MATERIAL = table(0.2, 0.3)
@@ -138,6 +139,7 @@ def _prepared() -> list[Any]:
     return [by_size, *patches[:-1], *patches.places, *edges, *links, *shared]
 
 
+@ci_slow
 def test_threads_do_not_matter() -> None:
     found, before = [], thread_count()
     for threads in (1, 3):

@@ -15,7 +15,7 @@ from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.reflection_counts.of_tile import CountMoments, counts_of, moments_of
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Sums
-from tests.marks import CI_SLOW
+from tests.marks import CI_SLOW, ci_slow
 from tests.rooms import box, plain, table, two_rooms
 
 SIZE = (5.0, 4.0, 3.0)
@@ -84,6 +84,7 @@ def test_arrivals_know_what_reflected_them() -> None:
         )
 
 
+@ci_slow
 def test_radiance_transfer_counts_as_receiver_volumes_do() -> None:
     """Two estimators of the same mean counts, by other walks, in six runs of either: to a thirtieth of the steps of
     6.4 m in which radiance transfer counts, which is a tenth of a reflection here."""
@@ -104,7 +105,7 @@ def test_radiance_transfer_counts_as_receiver_volumes_do() -> None:
     assert (np.abs(array.mean(axis=0)) < 5.0 * error + 0.1).all()
 
 
-@pytest.mark.parametrize("scattering", [0.3, 0.9])
+@pytest.mark.parametrize("scattering", [0.3, pytest.param(0.9, marks=CI_SLOW)])
 def test_other_walls_are_those_of_an_independent_simulation(scattering: float) -> None:
     """Early and late energy of every pair, within both error bars; and far beyond them with the old walls."""
     rng = np.random.default_rng(3)
@@ -128,8 +129,9 @@ def test_other_walls_are_those_of_an_independent_simulation(scattering: float) -
 
 @pytest.mark.parametrize(
     ("before", "after"),
-    [(0.05, 0.4), pytest.param(0.7, 0.3, marks=CI_SLOW)],
+    [(0.05, 0.4), (0.7, 0.3)],
 )
+@ci_slow
 def test_one_wall_can_change_much(before: float, after: float) -> None:
     """A carpet on a hard floor, a curtain that goes: accepted, and of three pairs of independent
     simulations the old one changed on reading is within both error bars of the new one; far beyond them unchanged."""

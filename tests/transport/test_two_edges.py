@@ -17,6 +17,7 @@ from soundspaces_sim.transport.arrivals.two_edges import meets_both, two_edge_fi
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.tile import make_side, make_tile
+from tests.marks import ci_slow
 from tests.rooms import table
 from tests.transport.exact_wedge import SPEED
 from tests.transport.test_diffraction import CONFIG
@@ -118,6 +119,7 @@ def _bounded(context: Context, scratch: Scratch, found: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("size", [0.15, 0.6, 3.0])
+@ci_slow
 def test_what_two_edges_bring_is_not_estimated_too_low(size: float) -> None:
     """Over the edges of a slab, points as far off as it is wide and up to twenty times as far: whatever the size, the
     estimate is at most 3 dB below the exact field."""

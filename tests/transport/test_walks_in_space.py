@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
+from tests.marks import CI_SLOW
 from tests.rooms import plain
 from tests.transport.edge_walks import SPEED
 
@@ -84,7 +85,7 @@ _MOST = {
 }
 
 
-@pytest.mark.parametrize("kind", ["half wall", "screen"])
+@pytest.mark.parametrize("kind", ["screen", pytest.param("half wall", marks=CI_SLOW)])
 def test_steps_of_a_few_walks(kind: str) -> None:
     """Two walks beside what the bounds are narrow for."""
     steps = _steps(kind, 3, 2)

@@ -22,6 +22,8 @@ from soundspaces_sim.cli.app import app
 from soundspaces_sim.dataset.format.manifest import read_manifest, write_manifest
 from tests.conftest import small_job
 from tests.marks import ci_slow
+from tests.rooms import plain
+from tests.transport.test_cut_responses import LIVE, POINTS
 
 
 class _Page(HTMLParser):
@@ -117,3 +119,12 @@ def test_waveforms_alone(small_scene: ss.Scene, tmp_path: Path) -> None:
     folder = ss.build_dataset(small_scene, tmp_path, small_job(store="waveform", rate=16000)).folder
     write_report(folder, tmp_path / "r.html")
     assert "waveforms" in _Page((tmp_path / "r.html").read_text("utf-8")).text
+
+
+def test_it_says_what_is_cut(tmp_path: Path) -> None:
+    simulation = plain(walks=64, max_duration=0.5, duration=None)
+    made = ss.build_dataset(LIVE, tmp_path, ss.JobConfig(simulation=simulation), points=POINTS, jobs=1)
+    write_report(made.folder, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text("utf-8")
+    assert "T30 of 0–176 Hz is not defined in 2 of 2 pairs" in text
+    assert "where the response is cut after" in text and "simulation.max_duration" in text

@@ -137,7 +137,6 @@ def test_pressures_that_are_not_reciprocal_are_refused(monkeypatch: pytest.Monke
         ({"edge": 10.0}, "simulation.low.edge"),
         ({"edge": float("nan")}, "simulation.low.edge"),
         ({"cells_per_wavelength": 3.0}, "simulation.low.cells_per_wavelength"),
-        ({"reactance": 99.0}, "simulation.low.reactance"),
         ({"method": "fem"}, "simulation.low"),
     ],
 )

@@ -22,40 +22,64 @@ _BY_SUFFIX = {
     **dict.fromkeys((".geo", ".par", ".proj"), _PROGRAMS),
     **dict.fromkeys((".ifc", ".dae"), _FORMATS),
 }
-_HM3D = re.compile(r"\d{5}-(\w+)")  # a scene's folder
-_HM3D_ENDS = (".semantic.glb", ".semantic.txt", ".basis.glb")
-_GIBSON_RAW, _GIBSON_ENDS = "mesh_z_up.obj", (".glb", "_semantic.ply", ".scn")
+_HM3D = re.compile(r"\d{5}-(\w+)", re.ASCII)  # a scene's folder
+_PAINTED, _COLOURS, _BASIS = ".semantic.glb", ".semantic.txt", ".basis.glb"
+_RAW, _PLY, _SCN, _NAVMESH = "mesh_z_up.obj", "_semantic.ply", ".scn", ".navmesh"
 
 
 def _is_building(source: str) -> bool:
     return re.fullmatch(rf"({'|'.join(BUILDINGS)})-\d{{1,9}}", source) is not None
 
 
-def _is_of_habitat(path: Path) -> bool:
-    """Whether a file or folder is a scene of HM3D or Gibson, as far as names tell."""
+def find_hm3d(path: Path) -> Path | None:
+    """The file of a scene's folder or of any of its files that the mesh is in; None if it is no scene of HM3D.
+
+    Of a scene with one of the two semantic files the .semantic.glb, whether it is there or not."""
     if path.is_dir():
-        own = path / f"{path.resolve().name}.glb"
-        files = [own, *path.glob("*.semantic.*"), path / _GIBSON_RAW]
-        return bool(_HM3D.fullmatch(path.name)) or any(f.is_file() and _is_of_habitat(f) for f in files)
+        found = [f for f in path.glob("*.semantic.*") if f.name.endswith((_PAINTED, _COLOURS))]
+        names = {f.name.removesuffix(_PAINTED).removesuffix(_COLOURS) for f in found}
+        if len(names) == 1:
+            return path / f"{names.pop()}{_PAINTED}"
+        named = _HM3D.fullmatch(path.name)
+        plain = [path / f"{named[1]}{end}" for end in (".glb", _BASIS)] if named else []
+        return next((f for f in plain if f.is_file()), None)
+    end = next((e for e in (_PAINTED, _COLOURS, _BASIS, ".glb") if path.name.endswith(e)), None)
+    if end is None or not path.is_file():
+        return None
+    name = path.name.removesuffix(end)
+    mesh, text = path.with_name(name + _PAINTED), path.with_name(name + _COLOURS)
+    if end in (_PAINTED, _COLOURS) or mesh.is_file() or text.is_file():
+        return mesh
     folder = _HM3D.fullmatch(path.resolve().parent.name)
-    if path.name.endswith(_HM3D_ENDS) or path.name == _GIBSON_RAW:
-        return True
-    if folder and path.name == f"{folder[1]}.glb":
-        return True
-    end = next((end for end in _GIBSON_ENDS if path.name.endswith(end)), None)
-    if end is None:
-        return False
-    beside = (
-        path.with_name(path.name.removesuffix(end) + kind) for kind in (".scn", ".navmesh", ".house")
-    )
-    scn, navmesh, house = (other.is_file() for other in beside)
-    return not house and (scn or (navmesh and end == ".glb"))
+    return path if end == _BASIS or (folder and folder[1] == name) else None
+
+
+def find_gibson(path: Path) -> Path | None:
+    """The file that a scene's mesh is in, of its folder or one of its files; None if it is no scene of Gibson."""
+    if path.is_dir():
+        inside = find_gibson(path / f"{path.resolve().name}.glb")
+        return inside or (path / _RAW if (path / _RAW).is_file() else None)
+    if not path.is_file():
+        return None
+    if path.name == _RAW:
+        return path
+    end = next((e for e in (".glb", _PLY, _SCN) if path.name.endswith(e)), None)
+    if end is None or path.name == end:
+        return None
+    name = path.name.removesuffix(end)
+    glb, ply, scn, navmesh = (path.with_name(name + e) for e in (".glb", _PLY, _SCN, _NAVMESH))
+    if ply.is_file() and scn.is_file():
+        return ply
+    of_another = end == _PLY or path.with_name(f"{name}.house").is_file()
+    if of_another or not glb.is_file():
+        return None
+    return glb if scn.is_file() or navmesh.is_file() else None
 
 
 def _folder_of(source: str) -> str | None:
     """In neighbours/, of what reads a file or folder; None if the core does."""
     path = Path(source)
-    if (path.is_dir() or path.is_file()) and _is_of_habitat(path):
+    if find_hm3d(path) or find_gibson(path):
         return _FORMATS
     if not path.is_file():
         return None

@@ -18,6 +18,7 @@ from soundspaces_sim import SceneError
 from soundspaces_sim.parts import (
     LabelledMesh,
     SceneFormat,
+    find_gibson,
     label_rows,
     read_json,
     read_labelled_ply,
@@ -26,33 +27,11 @@ from soundspaces_sim.parts import (
 )
 
 _RAW = "mesh_z_up.obj"
-_MESH, _PLY, _SCN, _NAVMESH = ".glb", "_semantic.ply", ".scn", ".navmesh"
+_PLY, _SCN = "_semantic.ply", ".scn"
 _NOTE = (
     "Z is taken as up: so is a .glb with habitat's .scn or .navmesh, although glTF says Y up "
     "(override with up=)"
 )
-
-
-def find_gibson(path: Path) -> Path | None:
-    """The file that a scene's mesh is in, of its folder or one of its files; None if it is no scene of Gibson."""
-    if path.is_dir():
-        inside = find_gibson(path / f"{path.resolve().name}{_MESH}")
-        return inside or (path / _RAW if (path / _RAW).is_file() else None)
-    if not path.is_file():
-        return None
-    if path.name == _RAW:
-        return path
-    end = next((e for e in (_MESH, _PLY, _SCN) if path.name.endswith(e)), None)
-    if end is None or path.name == end:
-        return None
-    name = path.name.removesuffix(end)
-    glb, ply, scn, navmesh = (path.with_name(name + e) for e in (_MESH, _PLY, _SCN, _NAVMESH))
-    if ply.is_file() and scn.is_file():
-        return ply
-    of_another = end == _PLY or path.with_name(f"{name}.house").is_file()
-    if of_another or not glb.is_file():
-        return None
-    return glb if scn.is_file() or navmesh.is_file() else None
 
 
 def load_gibson(ply: Path) -> LabelledMesh:

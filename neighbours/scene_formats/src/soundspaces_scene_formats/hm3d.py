@@ -11,7 +11,6 @@ Without the two files a scene is the mesh of `<id>.glb` or `<id>.basis.glb`, who
 from __future__ import annotations
 
 import io
-import re
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from soundspaces_sim.parts import (
     GltfTree as Tree,
     LabelledMesh,
     SceneFormat,
+    find_hm3d,
     gltf_base_color as base_color,
     gltf_uri as read_uri,
     gltf_view as view_of,
@@ -142,33 +142,8 @@ def _number(path: Path, tree: Tree, material: Tree) -> int | None:
 MOST_TEXT = 256 * 2**20  # bytes
 _HEAD = "HM3D Semantic Annotations"
 _MESH, _TEXT = ".semantic.glb", ".semantic.txt"
-_PLAIN = (".glb", ".basis.glb")
-_FOLDER = re.compile(r"\d{5}-(\w+)", re.ASCII)
 _BLACK = 0
 _NOTE = "Z is taken as up: so it is in HM3D, although glTF says Y up (override with up=)"
-
-
-def find_hm3d(path: Path) -> Path | None:
-    """The file of a scene's folder or of any of its files that the mesh is in; None if it is no scene of HM3D.
-
-    Of a scene with one of the two semantic files the .semantic.glb, whether it is there or not."""
-    if path.is_dir():
-        found = [f for f in path.glob("*.semantic.*") if f.name.endswith((_MESH, _TEXT))]
-        names = {f.name.removesuffix(_MESH).removesuffix(_TEXT) for f in found}
-        if len(names) == 1:
-            return path / f"{names.pop()}{_MESH}"
-        named = _FOLDER.fullmatch(path.name)
-        plain = [path / f"{named[1]}{end}" for end in _PLAIN] if named else []
-        return next((f for f in plain if f.is_file()), None)
-    end = next((e for e in (_MESH, _TEXT, ".basis.glb", ".glb") if path.name.endswith(e)), None)
-    if end is None or not path.is_file():
-        return None
-    name = path.name.removesuffix(end)
-    mesh, text = path.with_name(name + _MESH), path.with_name(name + _TEXT)
-    if end in (_MESH, _TEXT) or mesh.is_file() or text.is_file():
-        return mesh
-    folder = _FOLDER.fullmatch(path.resolve().parent.name)
-    return path if end == ".basis.glb" or (folder and folder[1] == name) else None
 
 
 def load_hm3d(mesh: Path) -> LabelledMesh:

@@ -61,7 +61,7 @@ def low_measures(
     lattice may be off by, and what other phases of the walls' impedances would change.
 
     Four runs of `simulate_low` of `duration` s, at least a third more than the longest T30; of `config` what that
-    takes, and `low`: edge, cells per wavelength, reactance. `edges` (K + 1,) Hz up to that edge; by default those
+    takes, and `low`: edge, cells per wavelength. `edges` (K + 1,) Hz up to that edge; by default those
     of the octaves from 63 Hz on that lie below it. Raises `ConfigError`, and what `simulate_low` does.
     """
     scene, config = load_scene(scene), config or SimulationConfig()
@@ -83,9 +83,9 @@ def low_measures(
         )
         return _measures(run, bands, onset)
 
-    value = found(low.cells_per_wavelength, low.reactance)
-    lattice = np.abs(found(cells, low.reactance) - value) / (ratio - 1.0)
-    phases = [np.abs(found(low.cells_per_wavelength, low.reactance + x) - value) for x in _PHASES]
+    value = found(low.cells_per_wavelength, 0.0)
+    lattice = np.abs(found(cells, 0.0) - value) / (ratio - 1.0)
+    phases = [np.abs(found(low.cells_per_wavelength, x) - value) for x in _PHASES]
     each = (value, lattice, np.fmax(*phases))
     return LowMeasures(bands, *(dict(zip(LOW_MEASURES, x, strict=True)) for x in each))
 

@@ -52,9 +52,7 @@ def wave_scene(prepared: PreparedScene) -> WaveScene:
     """The lattice of a scene: to be made once."""
     low, config = prepared.config.low, prepared.config
     with stage("lattice"):
-        return make_wave_scene(
-            prepared.scene, low_edge(config), low.cells_per_wavelength, config.c, low.reactance
-        )
+        return make_wave_scene(prepared.scene, low_edge(config), low.cells_per_wavelength, config.c)
 
 
 def check_points(model: Model, points: np.ndarray) -> None:

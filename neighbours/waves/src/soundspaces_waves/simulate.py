@@ -46,9 +46,9 @@ def simulate_low(
     A finite-difference solver runs once per source, and all listeners listen. `scene`: as in
     `soundspaces_sim.simulate`. Of `config` the bands, the air, the speed of sound and `porous_layers` count.
     `edge`: Hz, up to which responses hold; by default that of the first band. `cells_per_wavelength`, 6 to 40: at
-    the edge.
-    `reactance`: a table of absorption does not tell the phase of an impedance; this is Im/Re that every wall
-    has beside what its table asks for (negative: stiffness), to see what it changes. Omnidirectional ends only.
+    the edge. `reactance`, -10 to 10: a table of absorption does not tell the phase of an impedance; this is Im/Re
+    that every wall has beside what its table asks for (negative: stiffness), to see what it changes.
+    Omnidirectional ends only.
     Raises `SceneError`, `PointError` for points that are not finite, lie outside an enclosed scene or see no
     cell, `ConfigError` for settings out of range, `SimulationError` for a lattice that is too large.
     """
@@ -56,7 +56,8 @@ def simulate_low(
     a, b = as_points(sources, "sources"), as_points(listeners, "listeners")
     config = config or SimulationConfig()
     edge = config.bands[1] if edge is None else edge
-    LowConfig(edge=edge, cells_per_wavelength=cells_per_wavelength, reactance=reactance)  # raises
+    LowConfig(edge=edge, cells_per_wavelength=cells_per_wavelength)  # raises
+    require_within("reactance", reactance, -10.0, 10.0, "")
     require_within("duration", duration, 0.0, LONGEST, "s", above=True)
     check_ends(scene, a, b)
     _check_room(len(a), len(b), edge, duration)
