@@ -10,13 +10,10 @@ As in `ambisonics`, low bands are made at a low rate.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import scipy.fft
 
 from soundspaces_sim.core.numerics.axes import head_matrix, spherical_harmonics
-from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.rng import combine
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import white_noise
@@ -111,104 +108,26 @@ def shares(moments: np.ndarray, directions: np.ndarray) -> np.ndarray:
     Newton's method on the dual problem. `_RIDGE` bounds lambda where moments are those of fewer directions
     than K can tell apart: there they are met as nearly as the directions allow.
     """
-    basis = np.ascontiguousarray(spherical_harmonics(directions)[:, 1:])
-    out = np.empty((len(moments), len(basis)))
-    work = np.empty(len(basis)), np.empty((4, 8)), np.empty((8, 8))
-    _find_shares(np.ascontiguousarray(moments), basis, out, work)
-    return out
+    basis = spherical_harmonics(directions)[:, 1:]
+    squares = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
+    dual = np.zeros(moments.shape)
+    rows = np.arange(len(moments))
+    for _ in range(_STEPS):  # einsum, not @: a row's bits must not depend on the number of rows
+        weight = _softmax(np.einsum("ri,ki->rk", dual[rows], basis))
+        mean = np.einsum("rk,ki->ri", weight, basis)
+        slope = moments[rows] - mean - _RIDGE * dual[rows]
+        open_ = np.abs(slope).max(axis=1) > _CLOSE
+        rows, weight, mean, slope = rows[open_], weight[open_], mean[open_], slope[open_]
+        if len(rows) == 0:
+            break
+        curvature = np.einsum("rk,kq->rq", weight, squares).reshape(-1, 8, 8)
+        curvature += _RIDGE * np.eye(8) - mean[:, :, None] * mean[:, None, :]
+        step = np.linalg.solve(curvature, slope[:, :, None])[:, :, 0]
+        reach = np.abs(np.einsum("ri,ki->rk", step, basis)).max(axis=1)
+        dual[rows] += step * np.minimum(1.0, _REACH / np.maximum(reach, 1e-9))[:, None]
+    return _softmax(np.einsum("ri,ki->rk", dual, basis))
 
 
-@kernel
-def _find_shares(
-    moments: np.ndarray,
-    basis: np.ndarray,
-    out: np.ndarray,
-    work: tuple[np.ndarray, np.ndarray, np.ndarray],
-) -> None:
-    """Fill `out` (n, K): `shares`, of harmonics `basis` (K, 8) of the directions. `work`: (K,), (4, 8), (8, 8)."""
-    weight, curvature = work[0], work[2]
-    dual, mean, slope, step = work[1][0], work[1][1], work[1][2], work[1][3]
-    for row in range(len(moments)):
-        dual[:] = 0.0
-        for _ in range(_STEPS):
-            _weigh(basis, dual, weight)
-            _find_curvature(basis, weight, mean, curvature)
-            furthest = 0.0
-            for i in range(8):
-                slope[i] = moments[row, i] - mean[i] - _RIDGE * dual[i]
-                furthest = max(furthest, abs(slope[i]))
-            if furthest <= _CLOSE:
-                break
-            _solve(curvature, slope, step)
-            reach = 1e-9
-            for k in range(len(basis)):
-                reach = max(reach, abs(_along(basis, k, step)))
-            for i in range(8):
-                dual[i] += step[i] * min(1.0, _REACH / reach)
-        _weigh(basis, dual, weight)
-        for k in range(len(weight)):
-            out[row, k] = weight[k]
-
-
-@part(forceinline=True)
-def _along(basis: np.ndarray, k: int, x: np.ndarray) -> float:
-    total = 0.0
-    for i in range(8):
-        total += basis[k, i] * x[i]
-    return total
-
-
-@part
-def _weigh(basis: np.ndarray, dual: np.ndarray, weight: np.ndarray) -> None:
-    """Fill `weight` (K,) with exp(dual . basis), scaled to the sum 1."""
-    most, total = -np.inf, 0.0
-    for k in range(len(weight)):
-        weight[k] = _along(basis, k, dual)
-        most = max(most, weight[k])
-    for k in range(len(weight)):
-        weight[k] = math.exp(weight[k] - most)
-        total += weight[k]
-    for k in range(len(weight)):
-        weight[k] /= total
-
-
-@part
-def _find_curvature(
-    basis: np.ndarray, weight: np.ndarray, mean: np.ndarray, curvature: np.ndarray
-) -> None:
-    """Fill `mean` (8,) of the harmonics, and the lower half of their covariance (8, 8) with the ridge."""
-    mean[:] = 0.0
-    curvature[:] = 0.0
-    for k in range(len(weight)):
-        for i in range(8):
-            x = weight[k] * basis[k, i]
-            mean[i] += x
-            for j in range(i + 1):
-                curvature[i, j] += x * basis[k, j]
-    for i in range(8):
-        for j in range(i + 1):
-            curvature[i, j] -= mean[i] * mean[j]
-        curvature[i, i] += _RIDGE
-
-
-@part
-def _solve(lower: np.ndarray, right: np.ndarray, x: np.ndarray) -> None:
-    """Fill `x` (8,) with the solution of a symmetric system, positive definite, of which the `lower` half (8, 8) is
-    given; it becomes its Cholesky factor."""
-    for j in range(8):
-        for i in range(j, 8):
-            value = lower[i, j]
-            for k in range(j):
-                value -= lower[i, k] * lower[j, k]
-            lower[i, j] = math.sqrt(value) if i == j else value / lower[j, j]
-    for i in range(8):
-        value = right[i]
-        for k in range(i):
-            value -= lower[i, k] * x[k]
-        x[i] = value / lower[i, i]
-    for n in range(8):
-        i = 7 - n
-        value = x[i]
-        for k in range(i + 1, 8):
-            value -= lower[k, i] * x[k]
-        x[i] = value / lower[i, i]
+def _softmax(exponent: np.ndarray) -> np.ndarray:
+    weight = np.exp(exponent - exponent.max(axis=1, keepdims=True))
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))

@@ -16,18 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, thread_count
-from soundspaces_sim.transport.radiance_transfer.convolution import (
-    Convolution,
-    accumulate,
-    dot,
-    transform,
-)
+from soundspaces_sim.transport.radiance_transfer.convolution import Convolution, accumulate, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import Reflections
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import ROUNDING, Transfer
-from soundspaces_sim.transport.radiance_transfer.patch_histograms import DirectedPatches, fill_directed
+from soundspaces_sim.transport.radiance_transfer.patch_histograms import fill_directed
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan
-from soundspaces_sim.transport.radiance_transfer.time_steps import TimeSteps, incident_row
-from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
+from soundspaces_sim.transport.tables import CHANNELS
 
 LISTENERS = 16  # whose histograms are held at once, by each thread
 
@@ -80,9 +74,6 @@ def deposit_transfer(
 
     `forward` from A to B points, `backward` from B to A, `incident` the first reflections of the B points.
     """
-    if plan.few:
-        _deposit_few(plan, forward, backward, incident, table)
-        return
     convolution, rows = plan.coarse.convolution, plan.coarse.steps.rows
     bands, points, _, patches = forward.directed.shape
     listeners = table.shape[1]
@@ -105,68 +96,6 @@ def deposit_transfer(
             _deposit(columns, energies, moments, bins, table)
 
     over_rows(call, blocks, chunk=-(-blocks // thread_count()))  # histograms for each thread
-
-
-def _deposit_few(
-    plan: TransferPlan, forward: Transfer, backward: Transfer, incident: Reflections, table: np.ndarray
-) -> None:
-    """As `deposit_transfer`, between few points: convolved step by step."""
-    bands, points, rows, patches = forward.directed.shape
-    begin = int(rows - len(plan.coarse.convolution.inverse))
-    energies = LateEnergies(forward.energy, backward.energy, plan.restore)
-    bins = LateBins(plan.first_bin, plan.coarse.of_bin)
-
-    def call(first: int, last: int) -> None:
-        for j in range(first, last):
-            filled = np.zeros((rows, patches, CHANNELS, bands), np.float32)
-            work = np.empty(CHANNELS), np.empty(bands, np.float32)
-            _fill_few(j, incident, plan.coarse.steps, plan.directed, filled, work)
-            histogram = np.ascontiguousarray(filled.transpose(3, 0, 2, 1))
-            moments = np.zeros((bands, points, 1, CHANNELS, rows - begin), np.float32)
-            _convolve_few(forward.directed, histogram, begin, moments)
-            energy = moments[:, :, :, 0]
-            energy[energy < ROUNDING * energy.max(axis=3, keepdims=True)] = 0.0
-            _deposit(np.array([j]), energies, moments, bins, table)
-
-    over_rows(call, table.shape[1], chunk=1)
-
-
-@kernel
-def _fill_few(
-    j: int,
-    incident: Reflections,
-    steps: TimeSteps,
-    directed: DirectedPatches,
-    histogram: np.ndarray,
-    work: tuple[np.ndarray, np.ndarray],
-) -> None:
-    """As `fill_directed`, of point j into `histogram` (rows, D, 9, b). `work`: (9,) and (b,)."""
-    y, value = work
-    for k in range(BATCHES):
-        for r in range(incident.start[j, k], incident.start[j, k + 1]):
-            patch, d = incident.patch[r], incident.direction[j, k, incident.subpath[r]]
-            at, row = directed.column[patch], incident_row(steps, 0, incident.length[r])
-            if at < 0 or row < 0:
-                continue
-            harmonics(d[0], d[1], d[2], y)
-            for b in range(len(value)):
-                value[b] = incident.energy[r, b] * directed.factor[patch, b]
-            for c in range(CHANNELS):
-                for b in range(len(value)):
-                    histogram[row, at, c, b] += y[c] * value[b]
-
-
-@kernel
-def _convolve_few(outgoing: np.ndarray, incident: np.ndarray, begin: int, moments: np.ndarray) -> None:
-    """Add V * F_n, summed over patches, of `outgoing` (b, P, rows, D) and `incident` (b, rows, 9, D) to `moments`
-    (b, P, 1, 9, rows - begin)."""
-    bands, points, rows = outgoing.shape[:3]
-    for b in range(bands):
-        for i in range(points):
-            for t in range(begin, rows):
-                for k in range(t + 1):
-                    for c in range(CHANNELS):
-                        moments[b, i, 0, c, t - begin] += dot(outgoing[b, i, k], incident[b, t - k, c])
 
 
 def _convolve_moments(

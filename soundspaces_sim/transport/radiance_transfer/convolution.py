@@ -276,29 +276,3 @@ def _add_product(
             out[into + 1, m] += b0 * x0
             out[into + 2, m] += c0 * x0
             out[into + 3, m] += d0 * x0
-
-
-@part(fastmath=True)
-def dot(x: np.ndarray, y: np.ndarray) -> float:
-    """Of two (n,), in whichever order the processor likes."""
-    total = np.float32(0.0)
-    for c in range(len(x)):
-        total += x[c] * y[c]
-    return total
-
-
-@kernel
-def accumulate_few(
-    first: int, last: int, rows: np.ndarray, columns: np.ndarray, begin: int, out: np.ndarray
-) -> None:
-    """Add to `out` (P, Q, T - begin) the convolutions, from step `begin` on, of the histograms `first` to `last` of
-    `rows` (P, T, patches) with all `columns` (Q, T, patches), summed over patches: step by step, which for few
-    points is less than to transform them."""
-    steps = rows.shape[1]
-    for i in range(first, last):
-        for j in range(len(columns)):
-            for t in range(begin, steps):
-                total = 0.0
-                for k in range(t + 1):
-                    total += dot(rows[i, k], columns[j, t - k])
-                out[i, j, t - begin] += total

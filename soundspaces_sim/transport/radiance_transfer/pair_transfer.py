@@ -20,11 +20,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_products import (
     add_all_products,
     no_products,
 )
-from soundspaces_sim.transport.radiance_transfer.convolution import (
-    accumulate,
-    accumulate_few,
-    transform,
-)
+from soundspaces_sim.transport.radiance_transfer.convolution import accumulate, transform
 from soundspaces_sim.transport.radiance_transfer.first_reflections import (
     Continuations,
     Reflections,
@@ -240,9 +236,6 @@ def _add_directed(plan: TransferPlan, chunk: int, outgoing: np.ndarray, directed
 def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:
     """Add V ∗ F, summed over the patches of a chunk, to `energy` (P, Q, late bins)."""
     (p, q), chunk = energy.shape[:2], plan.chunk
-    if plan.few:
-        _add_few(plan, band, workspace, energy)
-        return
     for stretch in plan.stretches:
         convolution, products = stretch.convolution, len(stretch.convolution.forward)
         outgoing = workspace.outgoing_spectra[: products * p * chunk].reshape(products, 1, p, chunk)
@@ -256,17 +249,6 @@ def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np
                 columns = slice(start, start + COLUMNS)
                 places = columns, stretch.bins
                 accumulate(convolution, outgoing, incident, workspace.products, energy[None], places)
-
-
-def _add_few(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:
-    """As `_add_energy`, between few points."""
-    outgoing, incident = workspace.outgoing[band], workspace.incident[band]
-    with stage("products"):
-        for stretch in plan.stretches:
-            rows, bins = stretch.rows, stretch.bins
-            begin = rows.stop - rows.start - (bins.stop - bins.start)
-            there = outgoing[:, rows], incident[:, rows], begin, energy[:, :, bins]
-            over_rows(accumulate_few, len(outgoing), *there, chunk=1)
 
 
 def _subtract_own(plan: TransferPlan, of: Endpoints, to: Endpoints, energy: np.ndarray) -> None:

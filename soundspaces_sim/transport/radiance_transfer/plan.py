@@ -34,7 +34,6 @@ from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
 )
 
 DIRECTED = 512  # patches that tell from where sound arrives, if there are more
-_FEW = 5  # points of a job: a source and four listeners
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others
 
 
@@ -52,7 +51,6 @@ class TransferPlan(NamedTuple):
     first_bin: int  # of the late bins, among all of an echogram
     edges: np.ndarray  # (late bins + 1,) m
     restore: np.ndarray  # (late bins, b) undoes the decay compensation and applies air
-    few: bool = False  # points are so few that convolutions are sums of products, not of transforms
 
     @property
     def material_groups(self) -> int:
@@ -99,13 +97,7 @@ def make_transfer_plan(model: Model) -> TransferPlan:
         first_bin=first_bin,
         edges=edges,
         restore=_restore(edges, model.once(late_decay).rate, model.config),
-        few=_left_to_job(model) and 0 < model.points <= _FEW,
     )
-
-
-def _left_to_job(model: Model) -> bool:
-    """Whether what is rounded how may depend on how many points a job has: else a pair has the same bits in any."""
-    return model.asked is not None and model.asked.radiance_transfer.subpaths == "auto"
 
 
 def batch_edges(model: Model) -> np.ndarray:
