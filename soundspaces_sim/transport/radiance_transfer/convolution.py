@@ -279,7 +279,7 @@ def _add_product(
 
 
 @part(fastmath=True)
-def dot(x: np.ndarray, y: np.ndarray) -> float:
+def dot(x: np.ndarray, y: np.ndarray) -> np.float32:
     """Of two (n,), in whichever order the processor likes."""
     total = np.float32(0.0)
     for c in range(len(x)):
