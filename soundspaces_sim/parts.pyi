@@ -96,7 +96,7 @@ from .core.numerics.vec3 import (
     row as vector_row,
     subtract as subtract_vectors,
 )
-from .core.platforms import exclusive as exclusive_file, limit_process, rename_open
+from .core.platforms import exclusive as exclusive_file, rename_open
 from .core.processes import end_with, isolated_children, start_worker, worker_pool
 from .core.profile import adopt as adopt_profile, here as profile_here, stage as profile_stage
 from .core.registry import (
@@ -303,12 +303,14 @@ from .scene.formats.gltf import (
 )
 from .scene.formats.limits import (
     MOST_BYTES as MOST_SCENE_BYTES,
-    check_dae,
+    check_corners,
     check_ply,
     open_mesh,
     parse_xml,
     ply_header,
+    total_in_place,
     unpacked as unpacked_archive,
+    xml_elements,
 )
 from .scene.formats.matterport import find_matterport
 from .scene.formats.mesh import in_our_words as mesh_in_our_words, open_with_trimesh, read_mesh
@@ -510,7 +512,7 @@ __all__ = [
     "cache_root",
     "cast_ray",
     "center_frequencies",
-    "check_dae",
+    "check_corners",
     "check_degrees",
     "check_edges",
     "check_ends",
@@ -608,7 +610,6 @@ __all__ = [
     "lead_samples",
     "left_after",
     "levels_of",
-    "limit_process",
     "limit_transmission",
     "load_materials",
     "load_result",
@@ -724,6 +725,7 @@ __all__ = [
     "synthesise",
     "takes_scene",
     "thread_count",
+    "total_in_place",
     "transform_size",
     "triangle_areas",
     "turned_lattice",
@@ -753,4 +755,5 @@ __all__ = [
     "write_splits",
     "write_table",
     "written_hdf5",
+    "xml_elements",
 ]

@@ -149,14 +149,6 @@ def machine_memory() -> float:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
 
 
-def limit_process(seconds: int, memory: int) -> None:
-    """End this process after so many seconds of processor time, and refuse it more than so many bytes, where the
-    system can."""
-    if resource is not None:
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-
-
 def peak_memory_mb() -> float:
     """Largest resident size of this process so far; macOS counts in bytes, Linux in kB."""
     if resource is None:

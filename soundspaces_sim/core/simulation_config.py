@@ -85,8 +85,7 @@ _MOST_STEPS = 10_000_000  # of the first width, in an echogram
 class SpecularConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Subpaths that follow specular reflections alone.
 
-    `ratio`: how many times as many of them there are as `simulation.walks`; up to 24 times as many
-    where points have transfer subpaths of their own and surfaces scatter little."""
+    `ratio`: how many times as many of them there are as `simulation.walks`."""
 
     stage: ClassVar[str] = "simulation.specular"
     ratio: int = 4

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field as dataclass_field
-from functools import cache, reduce
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -216,16 +216,7 @@ def load_materials(path: str | Path | None = None) -> MaterialTable:
         raise MaterialError(
             f"materials: expected a table or the path of a TOML file, got {repr(path)[:80]}"
         )
-    return _built_in() if path is None else _read(Path(path))
-
-
-@cache  # rooms of a stream ask for it again and again
-def _built_in() -> MaterialTable:
-    return _read(resource("materials", "materials.toml"))
-
-
-def _read(file: Path) -> MaterialTable:
-    """Raises `MaterialError`."""
+    file = Path(path) if path is not None else resource("materials", "materials.toml")
     raw = read_toml(file, MaterialError, "file")
     rows = raw.get("materials")
     if not isinstance(rows, dict) or not rows or "frequency_hz" not in raw:

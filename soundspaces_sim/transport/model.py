@@ -16,7 +16,6 @@ import numpy as np
 from soundspaces_sim.core.config import SimulationConfig
 from soundspaces_sim.core.errors import PointError
 from soundspaces_sim.core.limits import LONGEST
-from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.scene.rays.geometry import Geometry
 from soundspaces_sim.scene.scene import Scene
@@ -26,7 +25,6 @@ from soundspaces_sim.transport.state import World
 EARLY_S = 0.08  # end of the early window after the direct sound's time (ISO 3382-1: C80)
 AIR_STEP = 0.1  # m, between entries of tables of air
 _FAR, _APART = 2000.0, 100  # m, steps: see `air_table`
-_ROWS = 1024  # of tables that are kept, or twice as many, and so on
 
 Prepare = Callable[[Scene, SimulationConfig], Any]
 _Made = TypeVar("_Made")
@@ -127,20 +125,15 @@ def air_table(config: SimulationConfig, longest: float, step: float) -> np.ndarr
     From `_FAR` on exponential between some steps: a band's rate of loss hardly changes there, for the frequencies
     that air takes most of are gone; within 10^-5 of the band's own (a test compares).
     """
-    rows = int(longest / step) + 3
+    lengths = np.arange(int(longest / step) + 3) * step
     if config.air is None:
-        return np.ones((rows, len(config.bands) - 1))
-    return _air_steps(config.air, config.bands, step, -(-rows // _ROWS) * _ROWS)[:rows].copy()
-
-
-@lru_cache(maxsize=64)  # rooms of all sizes have the same few
-def _air_steps(air: Air, bands: tuple[float, ...], step: float, rows: int) -> np.ndarray:
-    """`air_table` of so many rows."""
-    lengths = np.arange(rows) * step
+        return np.ones((len(lengths), len(config.bands) - 1))
     near = np.searchsorted(lengths, _FAR)
-    if rows - near < 2 * _APART:
-        return air.transmission(bands, lengths)
-    chosen = np.unique(np.append(np.arange(near, rows, _APART), rows - 1))
-    left = np.maximum(air.transmission(bands, lengths[chosen]), np.finfo(float).tiny)
+    if len(lengths) - near < 2 * _APART:
+        return config.air.transmission(config.bands, lengths)
+    chosen = np.unique(np.append(np.arange(near, len(lengths), _APART), len(lengths) - 1))
+    left = np.maximum(config.air.transmission(config.bands, lengths[chosen]), np.finfo(float).tiny)
     far = [np.exp(np.interp(lengths[near:], lengths[chosen], np.log(column))) for column in left.T]
-    return np.concatenate([air.transmission(bands, lengths[:near]), np.stack(far, axis=-1)])
+    return np.concatenate(
+        [config.air.transmission(config.bands, lengths[:near]), np.stack(far, axis=-1)]
+    )

@@ -20,11 +20,9 @@ from soundspaces_sim.core.profile import stage
 from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.bsdf import COUNT, SPECULAR, TRANSMISSION
 from soundspaces_sim.transport.low_method import low_method
 from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
 from soundspaces_sim.transport.paths import detector
-from soundspaces_sim.transport.paths.box_images import images_length
 from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
@@ -42,9 +40,6 @@ _log = logging.getLogger(__name__)
 _CONNECTION_DEPTH = 64  # paths with more events are not connected
 CUT = "cut: "  # begins the note on responses that are
 _SHORT_SUBPATHS = 4  # for each that the config asks for, where they end with the connection window
-#: For few points there are up to so many times more specular subpaths, 2**14 at most, in proportion to what is left
-#: of energy after some reflections without having been scattered.
-_MORE_WITH_IMAGES, _MORE, _REFLECTIONS, _MOST_SPECULAR = 11.0, 23.0, 6, 2**14
 _VERTEX_SHARE = (
     8.0  # typical number of vertices of a connected subpath, for the MIS count of pairs drawn
 )
@@ -119,10 +114,7 @@ def _settled(model: Model) -> Model:
             settled = technique.settle(model, model.points)
             if settled != model.config:
                 model = replace(model, prepared=replace(model.prepared, config=settled))
-    images, patches = model.world.settings.images_length, len(model.world.patches.weight)
-    mirrored = model.prepared.once(_mirrored)
-    settings = _settings(model.config, model.time_edges, patches, images, mirrored)
-    return replace(model, world=model.world._replace(settings=settings))
+    return model
 
 
 def of_round(model: Model, number: int, subpaths: int) -> Model:
@@ -133,7 +125,9 @@ def of_round(model: Model, number: int, subpaths: int) -> Model:
     if asked.walks is not None:
         return fresh
     config = msgspec.structs.replace(asked, walks=subpaths)
-    return _settled(replace(fresh, prepared=replace(model.prepared, config=config)))
+    settings = _settings(config, model.time_edges, len(model.world.patches.weight))
+    prepared = replace(model.prepared, config=config)
+    return _settled(replace(fresh, prepared=prepared, world=model.world._replace(settings=settings)))
 
 
 def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Model:
@@ -145,11 +139,8 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
         if technique.mark is not None:
             with stage(technique.mark.__name__.replace("_", " ")):
                 facets = technique.mark(facets, prepared, duration)
+    settings = _settings(config, time_edges, len(facets.patches.weight))
     longest = float(time_edges[-1]) * config.c + 2.0 * scene.diagonal + 4.0
-    corners = scene.corners - scene.center
-    images = images_length(facets.geometry, corners, prepared.surfaces, longest)
-    mirrored = prepared.once(_mirrored)
-    settings = _settings(config, time_edges, len(facets.patches.weight), images, mirrored)
     world = World(
         facets.geometry,
         prepared.surfaces,
@@ -169,11 +160,8 @@ def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
     return float(later.min(initial=edges[-1]))
 
 
-def _settings(
-    config: SimulationConfig, edges: np.ndarray, patches: int, images: float, mirrored: float
-) -> Settings:
-    """Settings for echograms of these time bins and a scene of so many patches; `images`: `images_length`;
-    `mirrored`: `_mirrored`."""
+def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Settings:
+    """Settings for echograms of these time bins and a scene of so many patches."""
     end = float(edges[-1]) * config.c
     rounded = round_sizes(config)[0]
     subpaths = rounded * (_SHORT_SUBPATHS if patches else 1)
@@ -182,7 +170,7 @@ def _settings(
     return Settings(
         subpaths=subpaths,
         round=rounded,
-        specular=_specular_count(config, rounded, images, mirrored),
+        specular=rounded * config.specular.ratio,
         connected=max(connected, 1),
         kappa=subpaths / max(connected, 1),
         vv=1.0 / _VERTEX_SHARE,
@@ -192,29 +180,9 @@ def _settings(
         connection_depth=_CONNECTION_DEPTH,
         radiance_transfer=patches > 0,
         late_length=_late_from(config, edges) * config.c,
-        images_length=images,
         step=config.time_grid[0][1] * config.c,
         air_step=AIR_STEP,
     )
-
-
-def _specular_count(config: SimulationConfig, subpaths: int, images: float, mirrored: float) -> int:
-    """Specular subpaths for so many others of a point. They are cheap. Where points are few, and have transfer
-    subpaths of their own, nearly all noise of late sound is theirs, if surfaces scatter little; less of it where
-    there are `images`. `mirrored`: `_mirrored`."""
-    count = subpaths * config.specular.ratio
-    if config.radiance_transfer.subpaths != "own":
-        return count
-    times = 1.0 + (_MORE_WITH_IMAGES if images > 0.0 else _MORE) * mirrored**_REFLECTIONS
-    return max(count, min(int(times * subpaths) * config.specular.ratio, _MOST_SPECULAR))
-
-
-def _mirrored(prepared: PreparedScene) -> float:
-    """Share of what surfaces reflect that is mirrored, by area and in the mean over bands."""
-    energy = prepared.surfaces.energy[prepared.geometry.material].mean(axis=(1, 3))  # (F, lobes)
-    back = np.array([energy[:, lobe] for lobe in range(COUNT) if lobe != TRANSMISSION]).sum(axis=0)
-    whole = float(prepared.scene.areas @ back)
-    return float(prepared.scene.areas @ energy[:, SPECULAR]) / whole if whole > 0.0 else 0.0
 
 
 @stage("duration")

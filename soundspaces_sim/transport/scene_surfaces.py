@@ -17,7 +17,6 @@ from soundspaces_sim.scene.scene import Scene, scene_key
 from soundspaces_sim.scene.windings import Sides, find_sides
 from soundspaces_sim.transport.bsdf.finite_size import size_scattering
 from soundspaces_sim.transport.bsdf.surface import Surfaces, law_rows, make_surfaces
-from soundspaces_sim.transport.paths.box_images import find_walls
 from soundspaces_sim.transport.reflection_counts.groups import group_of_material
 
 
@@ -30,10 +29,6 @@ def scattered_by_size(scene: Scene, config: SimulationConfig) -> np.ndarray:
     if config.scattering == "table":
         return np.empty((len(scene.faces), 0))
     sizes = {"F": len(scene.faces), "b": len(config.bands) - 1}
-    if find_walls(scene.geometry, scene.corners - scene.center) is not None:
-        return np.zeros(
-            (sizes["F"], sizes["b"])
-        )  # a wall ends at others, as if it went on as its mirror image
     found = cached_on_disk(
         _BySize,
         (scene_key(scene), config.bands, config.c),

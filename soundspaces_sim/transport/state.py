@@ -32,7 +32,6 @@ class Settings(NamedTuple):
     connection_depth: int  # nor paths with more events
     radiance_transfer: bool
     late_length: float  # longer paths that are scattered on a patch are radiance transfer's
-    images_length: float  # specular paths up to it are images of a box (`paths.box_images`); 0: none is
     step: float  # length of an entry of `bin_of_step`
     air_step: float  # length of an entry of `air`
 

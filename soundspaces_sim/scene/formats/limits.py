@@ -95,45 +95,17 @@ def total_in_place(
     return sum(total(root, 0) for root in roots)
 
 
-def check_dae(path: Path, file: BinaryIO) -> None:
-    """Raise `SceneError` if a COLLADA file is an archive, or places its parts too often."""
-    if zipfile.is_zipfile(file):
-        raise SceneError(f"{path}: this is an archive; unpack it and give the .dae in it")
-    file.seek(0)
-    content = file.read()
-    file.seek(0)
-    root = parse_xml(path, content, "a COLLADA file", len(content))
-    key = {
-        node: f"#{node.get('id')}" if node.get("id") else f"at {i}"
-        for i, node in enumerate(_all(root, "node"))
-    }
-    parts = {
-        f"#{g.get('id')}": sum(len(p.text or "") // 2 for p in _all(g, "p"))
-        for g in _all(root, "geometry")
-    }
-    children: dict[str, list[str]] = {}
-    weight: dict[str, int] = {}
-    for node, name in key.items():
-        own = children.setdefault(name, [])
-        own += [key[child] for child in node if child in key]
-        own += [str(child.get("url")) for child in node if _is(child, "instance_node")]
-        placed = (str(child.get("url")) for child in node if _is(child, "instance_geometry"))
-        weight[name] = weight.get(name, 1) + sum(parts.get(url, 0) for url in placed)
-    roots = [key[node] for scene in _all(root, "visual_scene") for node in scene if node in key]
-    check_corners(path, total_in_place(path, children, weight, roots), size_of(file))
-
-
 def check_3mf(path: Path, file: BinaryIO) -> None:
     """Raise `SceneError` if a 3MF file unpacks to very much more, or places its parts too often."""
     files = unpacked(path, file, lambda _: True)
     file.seek(0)
     models = [parse_xml(path, files[n], "a 3MF file") for n in files if n.endswith(".model")]
-    objects = [o for model in models for o in _all(model, "object")]
+    objects = [o for model in models for o in xml_elements(model, "object")]
     children = {
-        str(o.get("id")): [str(c.get("objectid")) for c in _all(o, "component")] for o in objects
+        str(o.get("id")): [str(c.get("objectid")) for c in xml_elements(o, "component")] for o in objects
     }
-    weight = {str(o.get("id")): 1 + 3 * sum(1 for _ in _all(o, "triangle")) for o in objects}
-    roots = [str(item.get("objectid")) for model in models for item in _all(model, "item")]
+    weight = {str(o.get("id")): 1 + 3 * sum(1 for _ in xml_elements(o, "triangle")) for o in objects}
+    roots = [str(item.get("objectid")) for model in models for item in xml_elements(model, "item")]
     check_corners(path, total_in_place(path, children, weight, roots), size_of(file))
 
 
@@ -172,10 +144,6 @@ def parse_xml(path: Path, content: bytes, what: str, most: int = _MOST_ELEMENTS)
         raise SceneError(f"{path}: cannot be read as {what}: its XML is damaged ({error})") from error
 
 
-def _is(element: ElementTree.Element, name: str) -> bool:
-    return element.tag == name or element.tag.endswith("}" + name)
-
-
-def _all(root: ElementTree.Element, name: str) -> list[ElementTree.Element]:
+def xml_elements(root: ElementTree.Element, name: str) -> list[ElementTree.Element]:
     """Elements of a name, in any namespace."""
-    return [element for element in root.iter() if _is(element, name)]
+    return [element for element in root.iter() if element.tag.rpartition("}")[2] == name]

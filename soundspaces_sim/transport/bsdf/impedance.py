@@ -24,7 +24,6 @@ Every factor is (n0 + n1 c + n2 c²) / (1 + zeta c)²; its parameters are n0, n1
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 
@@ -49,20 +48,10 @@ def parameters(absorption: np.ndarray, transmission: np.ndarray, free: np.ndarra
     """(m, 2, b, 4) of materials with these (m, b) fractions at random incidence, of which `free` (m,) hang free: of
     what is reflected and of what is transmitted."""
     first, row = unique_rows(np.column_stack([absorption, transmission, free]))
-    if not len(first):
-        return np.zeros((0, 2, absorption.shape[1], 4))
-    rows = zip(absorption[first], transmission[first], free[first], strict=True)
-    return np.stack([_of_material(tuple(a), tuple(t), bool(f)) for a, t, f in rows])[row]
-
-
-@lru_cache(maxsize=4096)  # rooms of a stream have the same few materials
-def _of_material(absorbed: tuple[float, ...], transmitted: tuple[float, ...], free: bool) -> np.ndarray:
-    """(2, b, 4) of one material."""
-    absorption, transmission = np.array([absorbed], float), np.array([transmitted], float)
-    if free:
-        back = np.maximum(1.0 - absorption - transmission, 0.0)
-        return _layer(absorption, back, transmission)[0]
-    return _wall(absorption + transmission)[0]
+    absorption, transmission, free = absorption[first], transmission[first], free[first]
+    wall = _wall(absorption + transmission)
+    layer = _layer(absorption, np.maximum(1.0 - absorption - transmission, 0.0), transmission)
+    return np.where(free[:, None, None, None], layer, wall)[row]
 
 
 def _means(zeta: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ from soundspaces_sim.transport.paths.advance import (
     spawn_ray,
 )
 from soundspaces_sim.transport.paths.detect import Carried, Segment, pass_detectors
-from soundspaces_sim.transport.paths.detector import GROWTH, Detectors
+from soundspaces_sim.transport.paths.detector import Detectors
 from soundspaces_sim.transport.paths.guide import (
     Guide,
     Pilots,
@@ -83,7 +83,6 @@ from soundspaces_sim.transport.tile import Side
 _STREAM = 0x5BEC  # keeps these subpaths' numbers apart from those of `subpath`
 _STEP = 6.0  # m between two looks at the weights
 _KEPT = 40.0  # subpaths for each that carries the mean energy of all sound at its length
-_PILOTED = 32  # specular subpaths for each of a round, at most, for which there are pilots
 _EVENTS = 24  # first reflections of a subpath that there is room for at first; rooms are taken as they are filled
 
 
@@ -127,17 +126,12 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
     state, settings, scratch = paths.state[i], context.world.settings, context.scratch
     tally = scratch.tally[0]
     tally.rays += 1
-    shortest = 0.0
     if state.scattered:
-        shortest = settings.late_length
-        wanted = state.length + hit.distance > shortest
+        wanted = state.length + hit.distance > settings.late_length
     else:
-        wanted = state.reflections > 0
-        if state.by_images:
-            shortest = settings.images_length
-            wanted = wanted and not by_images(state.reflections, state.back)
-            # the closest approach may lie beyond the segment
-            wanted = wanted and state.length + hit.distance + GROWTH.largest > shortest
+        wanted = state.reflections > 0 and not (
+            state.by_images and by_images(state.reflections, state.back)
+        )
     if wanted:
         direction = direction_of(state)
         harmonics(-direction[0], -direction[1], -direction[2], scratch.arrival)
@@ -145,7 +139,7 @@ def _at_segment(context: _Context, paths: Paths, i: int, hit: Hit) -> None:
         segment = Segment(
             origin=origin_of(state), direction=direction,
             end=min(hit.distance, settings.max_length - state.length), start_length=state.length,
-            shortest=shortest, longest=math.inf,
+            shortest=settings.late_length if state.scattered else 0.0, longest=math.inf,
             key=state.stream, batch=context.batch, share=1.0 / settings.specular,
             # Delta events leave a and b as they are; so do Lambertian ones, without connections, as here.
             events=state.events, sums=mis.start(settings.kappa), material=-1, incident=nowhere, normal=nowhere,
@@ -318,7 +312,7 @@ def _make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) ->
         Roulette(np.empty(slots, np.int64), np.empty(bands)),
         make_scratch(bands, detectors, tallies),
         empty_guide(),
-        make_pilots(min(settings.specular, _PILOTED * settings.round), settings.max_length, bands),
+        make_pilots(settings.specular, settings.max_length, bands),
     )
 
 

@@ -1,13 +1,12 @@
 """Subpaths as techniques."""
 
-from soundspaces_sim.transport.paths import box_images, connections, receiver_volumes, specular
+from soundspaces_sim.transport.paths import connections, receiver_volumes, specular
 from soundspaces_sim.transport.technique import Technique
 
 SPECULAR = Technique(
     "specular",
     "all others that are never scattered; with patches also late ones that none scatters",
     trace=specular.trace,
-    join=box_images.join,
 )
 RECEIVER_VOLUMES = Technique(
     "receiver_volumes",

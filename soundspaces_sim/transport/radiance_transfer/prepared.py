@@ -17,7 +17,6 @@ from soundspaces_sim.scene.scene import scene_key
 from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
 from soundspaces_sim.transport.element_depths import air_on_sides
 from soundspaces_sim.transport.model import Model, PreparedScene
-from soundspaces_sim.transport.paths.box_images import outer_sides
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import Decay
 from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
@@ -90,7 +89,7 @@ def settle(model: Model, points: int) -> SimulationConfig:
     """``auto`` transfer subpaths as ``own`` or ``shared`` ones, whichever is less to trace for a job's points.
 
     All of them thin out alike with length, so their number tells the cost. Own ones bring no more noise: those of
-    two points are independent, and noise is rather that of first reflections, of which points then have more.
+    two points are independent, and most noise is that of first reflections.
     """
     config = model.config
     chosen = config.radiance_transfer
@@ -168,7 +167,6 @@ def _patches(prepared: PreparedScene) -> Patches:
     scattered *= air_on_sides(geometry, prepared.surfaces, corners, scene.areas, prepared.thin)[
         :, :, None
     ]
-    scattered[outer_sides(geometry, corners)] = 0.0
     return cached_on_disk(
         Patches,
         (scene_key(scene), fingerprint(scattered)),

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 import warnings
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -17,10 +18,14 @@ from soundspaces_sim import SceneError
 from soundspaces_sim.parts import (
     LabelledMesh,
     SceneFormat,
-    check_dae,
+    check_corners,
     concatenate_parts,
+    file_size,
     install_hint,
     open_mesh,
+    parse_xml,
+    total_in_place,
+    xml_elements,
 )
 
 
@@ -38,7 +43,7 @@ def read_dae(source: str) -> LabelledMesh:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pycollada uses numpy.matrix
             with open_mesh(path) as file:
-                check_dae(path, file)
+                _check(path, file)
                 document = collada.Collada(file, ignore=ignored)
             parts = list(_parts(document))
         asset = document.assetInfo
@@ -54,6 +59,36 @@ def read_dae(source: str) -> LabelledMesh:
     if metre is not None and not (math.isfinite(metre) and metre > 0.0):
         raise SceneError(f"{path}: <unit meter=…> must be a positive number, got {metre}")
     return LabelledMesh(*concatenate_parts(parts), path.stem, up=up, metre=metre)
+
+
+def _check(path: Path, file: BinaryIO) -> None:
+    """Raise `SceneError` if a COLLADA file is an archive, or places its parts too often."""
+    if zipfile.is_zipfile(file):
+        raise SceneError(f"{path}: this is an archive; unpack it and give the .dae in it")
+    file.seek(0)
+    content = file.read()
+    file.seek(0)
+    root = parse_xml(path, content, "a COLLADA file", len(content))
+    key = {
+        node: f"#{node.get('id')}" if node.get("id") else f"at {i}"
+        for i, node in enumerate(xml_elements(root, "node"))
+    }
+    parts = {
+        f"#{g.get('id')}": sum(len(p.text or "") // 2 for p in xml_elements(g, "p"))
+        for g in xml_elements(root, "geometry")
+    }
+    children: dict[str, list[str]] = {}
+    weight: dict[str, int] = {}
+    for node, name in key.items():
+        own = children.setdefault(name, [])
+        own += [key[child] for child in node if child in key]
+        own += [
+            str(child.get("url")) for child in node if child.tag.rpartition("}")[2] == "instance_node"
+        ]
+        placed = [c for c in node if c.tag.rpartition("}")[2] == "instance_geometry"]
+        weight[name] = weight.get(name, 1) + sum(parts.get(str(c.get("url")), 0) for c in placed)
+    roots = [key[node] for scene in xml_elements(root, "visual_scene") for node in scene if node in key]
+    check_corners(path, total_in_place(path, children, weight, roots), file_size(file))
 
 
 def _parts(document: Any) -> Iterator[tuple[np.ndarray, np.ndarray, str]]:

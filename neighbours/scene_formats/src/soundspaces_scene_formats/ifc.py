@@ -26,7 +26,6 @@ from soundspaces_sim.parts import (
     concatenate_parts,
     file_size as size_of,
     install_hint,
-    limit_process,
     open_mesh,
 )
 
@@ -171,6 +170,17 @@ FORMAT = SceneFormat(
 )
 
 
+def _limit(seconds: int, memory: int) -> None:
+    """End this process after so many seconds of processor time, and refuse it more than so many bytes, where the
+    system can."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+
+
 if __name__ == "__main__":
-    limit_process(int(sys.argv[3]), int(sys.argv[4]))
+    _limit(int(sys.argv[3]), int(sys.argv[4]))
     _convert(sys.argv[1], Path(sys.argv[2]))
