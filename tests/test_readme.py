@@ -23,7 +23,7 @@ from soundspaces_sim.cli.app import app
 from soundspaces_sim.transport import simulate
 from soundspaces_sim.transport.model import Model
 from tests.conftest import energy
-from tests.marks import ci_slow
+from tests.marks import CI_SLOW, ci_slow
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -316,6 +316,8 @@ _LEFT = {
     "dask ": "a cluster",
     "i=0; for host": "machines of the reader's", "ssh ": "the same", "done; wait": "the same",
 }  # fmt: skip
+#: Commands of neighbours, whose own tests are quick too.
+_BESIDE = tuple(f"soundspaces-sim {name} " for name in ("cite", "parameters", "plot", "report"))
 _SHELL = _shell_lines()
 _RUN = sorted(
     {
@@ -332,7 +334,9 @@ def test_every_shell_line_is_run_or_left_for_a_reason() -> None:
 
 
 @pytest.mark.usefixtures("neighbours_installed")
-@pytest.mark.parametrize("line", _RUN)
+@pytest.mark.parametrize(
+    "line", [pytest.param(x, marks=CI_SLOW if x.startswith(_BESIDE) else ()) for x in _RUN]
+)
 def test_a_shell_line_runs(line: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(demo)
     trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [4.0, 3.0, 2.5]]).export("room.obj")

@@ -379,7 +379,7 @@ def _eyring(per_m: float, band: tuple[float, float]) -> float:
     return 2.0 * (cuts[1] - cuts[0]) / 343.0
 
 
-@pytest.mark.parametrize("through", [0.0, 0.08])
+@pytest.mark.parametrize("through", [0.0, pytest.param(0.08, marks=CI_SLOW)])
 def test_inspect_of_a_box(through: float) -> None:
     """5 x 4 x 2.5 m: V = 50, S = 85, mean free path 4 V / S; Eyring's formula with the air of each band. Walls
     reflect 0.8: what they let through is lost to the room as what they absorb is."""
@@ -444,9 +444,10 @@ def _fuzz(data: bytes, rng: np.random.Generator) -> bytes:
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     "form",
-    ["replica-json", "obj", "glb"]
+    ["replica-json", "glb"]
     + [
-        pytest.param(f, marks=CI_SLOW) for f in ("replica-ply", "house", "mp3d-ply", "stl", "off", "ply")
+        pytest.param(f, marks=CI_SLOW)
+        for f in ("obj", "replica-ply", "house", "mp3d-ply", "stl", "off", "ply")
     ],
 )
 def test_damaged_files_give_our_errors_only(tmp_path: Path, form: str) -> None:

@@ -107,6 +107,7 @@ def _products(rng: np.random.Generator, a: int, b: int, groups: int = 0) -> Batc
     return BatchProducts(_raised(_random(rng, BATCHES, a, b, STEPS)), within, *of_ends, *crossed)
 
 
+@ci_slow
 def test_energies_of_batches_are_those_of_the_definition() -> None:
     """E_k = E (⟨V_k, F⟩ / E + ⟨V, F_k⟩ / E − 1 / K), bin by bin; in a step without energy all batches have E / K."""
     rng, (a, b, bins, windows) = np.random.default_rng(1), (2, 3, 40, 5)

@@ -281,8 +281,8 @@ def test_what_few_subpaths_bring_is_no_echo(common: bool) -> None:
     of_time = np.add.reduceat(lucky**2, [0, *np.flatnonzero(np.diff(window)) + 1], axis=1)
     table = np.zeros((1, *raw.shape[:2], 9, BANDS), np.float32)
     table[0, :, :, 0] = raw
-    parts = difference[None, :, plan.first :], np.sqrt(of_time)[None]
-    noise = Noise(*(x.astype(np.float32) for x in parts), window)
+    of_ends = difference[None, :, plan.first :].astype(np.float32)
+    noise = Noise(of_ends, np.sqrt(of_time)[None].astype(np.float32), window)
     smooth_late(table, noise, np.full((1, RUNS), plan.first), plan)
     found = table[0, :, :, 0].astype(float)
     assert (_rises(raw, truth) > 6.0).mean() > 0.1

@@ -17,6 +17,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.radiance_transfer.convolution import make_convolution, product_count
 from soundspaces_sim.transport.radiance_transfer.prepared import patch_groups, transfer_subpaths
+from tests.marks import CI_SLOW
 from tests.rooms import plain
 
 FINE = ((0.0, 0.001), (0.05, 0.002), (0.1, 0.005), (0.2, 0.01))
@@ -45,7 +46,7 @@ def test_the_largest_side_is_what_fits() -> None:
     assert memory.largest_side(0.0) == 1
 
 
-@pytest.mark.parametrize(("duration", "count"), [(1.0, 16), (4.0, 8)])
+@pytest.mark.parametrize(("duration", "count"), [(1.0, 16), pytest.param(4.0, 8, marks=CI_SLOW)])
 def test_a_tile_takes_no_more_than_is_reckoned(duration: float, count: int) -> None:
     points = _points(count)
     model = _model(points, duration=duration, time_grid=FINE)

@@ -50,11 +50,11 @@ def _smoothed(seed: int) -> _Case:
     assert before.rows.shape[3] == count_rows(GROUPS)
     plan, starts = make_denoise_plan(edges, 0.05, 0.0), _starts(model.world.window_of_bin)
     late = noise * rng.normal(size=(*shape[:2], len(width) - plan.first, BANDS))
-    late *= energy[:, :, plan.first :, 0]
+    late = (late * energy[:, :, plan.first :, 0]).astype(np.float32)
     raw = np.add.reduceat(energy[:, :, :, 0], starts, axis=2, dtype=float)
     splits = np.zeros(shape[:2], np.int64)
     window = model.world.window_of_bin
-    unknown = np.zeros((*shape[:2], window.max() + 1, BANDS))
+    unknown = np.zeros((*shape[:2], window.max() + 1, BANDS), np.float32)
     moved = smooth_late(energy, Noise(late, unknown, window), splits, plan, count_moved=True)
     assert moved is not None
     same = before._replace(rows=before.rows.copy())
