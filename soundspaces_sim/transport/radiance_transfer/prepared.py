@@ -89,7 +89,7 @@ def settle(model: Model, points: int) -> SimulationConfig:
     """``auto`` transfer subpaths as ``own`` or ``shared`` ones, whichever is less to trace for a job's points.
 
     All of them thin out alike with length, so their number tells the cost. Own ones bring no more noise: those of
-    two points are independent, and most noise is that of first reflections.
+    two points are independent, and a point has as many as half of its specular subpaths.
     """
     config = model.config
     chosen = config.radiance_transfer

@@ -25,6 +25,7 @@ from soundspaces_sim.transport.tables import BATCHES
 
 _STREAM = 0x3D1E  # keeps these random numbers apart from those of points' subpaths
 _PER_SUBPATH = 8  # transfer subpaths of a scene, at least, for each subpath of a point
+_OWN = 2  # specular subpaths of a point for each of its own transfer subpaths; one each brings no less noise
 _MOST_RISE = 13.0  # nepers: single precision leaves early energies 3 % then
 _PILOTS = 256  # subpaths that tell how much others leave
 _DECAY_PILOTS, _MARGIN = 4, 0.7  # populations of pilots that tell the decay; part of it that counts
@@ -47,9 +48,8 @@ def subpath_count(world: World) -> int:
 
 
 def own_continuations(world: World) -> int:
-    """First reflections of a batch of a point that are carried on, where points have subpaths of their own: as many
-    as subpaths of a round. Twice as many bring no less noise."""
-    return max(world.settings.round // BATCHES, 1)
+    """First reflections of a batch of a point that are carried on, where points have subpaths of their own."""
+    return max(world.settings.specular // (BATCHES * _OWN), 1)
 
 
 def shared_populations(world: World, seed: int) -> Populations:
