@@ -119,6 +119,7 @@ def test_the_papers_preset_keeps_the_papers_rule() -> None:
     assert ss.load_config(resource("pipelines", "default.toml")).grid.reachable is True
 
 
+@ci_slow
 def test_no_point_of_the_demo_stands_in_a_solid() -> None:
     """Every box of the demo is one; at half a metre the paper's rule keeps points in partitions and furniture."""
     from soundspaces_sim.scene.generate.demo import demo_mesh

@@ -209,6 +209,7 @@ def test_early_mirrors_replace_exactly_what_walks_leave_out(monkeypatch: pytest.
     _agree(flat[1], flat[0], "mirrors", relative=0.1)
 
 
+@ci_slow
 def test_level_behind_a_wall_follows_the_way_through_the_door() -> None:
     """Two listeners 2 m from the source, one in its room, one behind the wall and far from the door."""
     scene = two_rooms(table(0.3, 0.3), 0)

@@ -114,6 +114,7 @@ def test_no_damage_changes_what_passes(seed: int) -> None:
             assert np.isfinite(out).all()
 
 
+@ci_slow
 def test_depth_has_no_limit_at_which_sound_jumps() -> None:
     """From one element to two, by at most a tenth of the way (in dB) a centimetre, however oblique the line is."""
     materials = table([[0.1] * 4, [0.2] * 4], 0.5, [[0.0] * 4, [0.1] * 4])

@@ -93,6 +93,7 @@ def _stated(mean: float, floor: float, rng: np.random.Generator) -> tuple[float,
     return float(known.mean()), float((off < 2.0).mean()), float((off > 5.0).mean())
 
 
+@ci_slow
 def test_floor_of_batches_by_what_intervals_hold() -> None:
     """The lowest even floor whose stated errors hold, at any number of subpaths of which some are stated."""
     rng, numbers = np.random.default_rng(1), (3.0, 5.0, 10.0, 20.0, 40.0, 80.0)

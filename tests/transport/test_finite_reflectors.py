@@ -66,6 +66,7 @@ def kirchhoff(strips: list[tuple[float, float]], across: float, up: float, k: np
     return 0.5 * band_energies(total)
 
 
+@ci_slow
 def test_a_reflection_slides_off_the_end_of_its_mirror() -> None:
     """A half-plane, the reflection's boundary at 120 degrees: the whole field, arrivals added as pressures, within
     0.5 dB of the exact one for 15 degrees either way, and above 176 Hz for 30."""
