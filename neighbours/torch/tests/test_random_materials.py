@@ -147,7 +147,7 @@ def test_the_reader_for_pytorch(ds: ss.RirDataset, dataset_folder: Path) -> None
     pytest.importorskip("torch", reason="the extra 'torch' is not installed")
     from soundspaces_torch.dataset import TorchRirDataset
 
-    data = TorchRirDataset(ds, samples=400, seed=5, materials=RandomMaterials())
+    data = TorchRirDataset(ds, samples=400, seed=5, materials=RandomMaterials(), collocated=True)
     epochs = []
     for epoch in range(2):
         data.set_epoch(epoch)
