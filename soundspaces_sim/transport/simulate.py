@@ -179,8 +179,7 @@ def simulate_pairs(
     """
     others = a if b is None else b
     _check_room(model, len(a), len(others), 2 if b is not None and both_ways else 1)
-    with deferred():  # once, not in each of thousands of calls of kernels
-        there, back = simulate_rays(model, a, b, both_ways, progress, kept)
+    there, back = simulate_rays(model, a, b, both_ways, progress, kept)
     method = low_method(model.config)
     if method is None:
         return there, back

@@ -20,13 +20,18 @@ SHAPES = [
 
 
 def _written(value: np.ndarray, threads: int) -> bytes:
-    before, content = thread_count(), io.BytesIO()
+    before = thread_count()
     set_thread_count(threads)
     try:
-        with create_hdf5(content) as file:
-            put_chunks(file, "values", value, 2)
+        return _content(value)
     finally:
         set_thread_count(before)
+
+
+def _content(value: np.ndarray) -> bytes:
+    content = io.BytesIO()
+    with create_hdf5(content) as file:
+        put_chunks(file, "values", value, 2)
     return content.getvalue()
 
 
@@ -78,12 +83,5 @@ def test_files_are_written_in_threads_side_by_side() -> None:
     """A job encodes several blocks at once, each into a file of its own in memory."""
     value = np.random.default_rng(2).integers(0, 9, (24, 24, 40)).astype(np.int8)
     alone = _written(value, 1)
-
-    def call(_: int) -> bytes:
-        content = io.BytesIO()
-        with create_hdf5(content) as file:
-            put_chunks(file, "values", value, 2)
-        return content.getvalue()
-
     with ThreadPoolExecutor(8) as pool:
-        assert all(found == alone for found in pool.map(call, range(48)))
+        assert all(found == alone for found in pool.map(_content, [value] * 48))

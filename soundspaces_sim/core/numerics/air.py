@@ -63,9 +63,7 @@ class Air:
 
     temperature_c: float = 20.0
     humidity_percent: float = 50.0
-    pressure_kpa: float = (
-        101.325  # no setting: 83 kPa, 1,600 m up, change the attenuation by at most 1.5 %
-    )
+    pressure_kpa: float = 101.325  # no setting: 83, 1,600 m up, change attenuation by at most 1.5 %
     speed_of_sound: float = 343.0  # m/s
 
     def attenuation(self, frequency_hz: ArrayLike) -> np.ndarray:
