@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread, thread_count
+from soundspaces_sim.core.numerics.kernel import at_once, over_rows, rows_of_thread, thread_count
 from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.measure_errors import LEAST_EFFECTIVE, UNLIKELY, measure_errors
@@ -140,8 +140,9 @@ def run_techniques(
         side_a = make(a)
         tile = make_tile(side_a, side_a if b is None else make(b))
         sums = make_sums(tile, both_ways)
-    walks = _trace(tile, sums, techniques, progress, kept)
-    arrived = arrived_at(tile, techniques)
+    walks, arrived = at_once(  # where one waits for a single core, the other has the rest
+        partial(_trace, tile, sums, techniques, progress, kept), partial(arrived_at, tile, techniques)
+    )
     join_walks(tile, walks, sums, techniques)
     if sums.to_a.shape[2] and not tile.same:  # a point to itself: there is no other way back
         i, j = np.nonzero(side_a.ends.keys[:, None] == tile.b.ends.keys)
@@ -202,18 +203,28 @@ def _trace(
 
         def add(rows: slice, tables: Tables, of_a: bool = of_a, of_b: bool = of_b) -> None:
             nonlocal done
-            if of_a:
-                _add(sums.to_b[rows], tables.arrive)
-                sums.batches[rows] += tables.batches
-                sums.difference[rows] += _late_energy(sums, tables.arrive)
-            if of_b:
-                _add(sums.to_b[:, rows], tables.leave.swapaxes(0, 1))
-                sums.batches[:, rows] += tables.batches.swapaxes(0, 1)
-                sums.difference[:, rows] -= _late_energy(sums, tables.leave).swapaxes(0, 1)
-            if back_wanted and of_a:
-                _add(sums.to_a[:, rows], tables.leave.swapaxes(0, 1))
-            if back_wanted and of_b:
-                _add(sums.to_a[rows], tables.arrive)
+
+            def add_rows(first: int, last: int) -> None:
+                some, new = slice(rows.start + first, rows.start + last), slice(first, last)
+                if of_a:
+                    sums.to_b[some] += tables.arrive[new]
+                    sums.batches[some] += tables.batches[new]
+                    sums.difference[some] += _late_energy(sums, tables.arrive[new])
+                if back_wanted and of_b:
+                    sums.to_a[some] += tables.arrive[new]
+
+            def add_columns(first: int, last: int) -> None:
+                some, new = slice(rows.start + first, rows.start + last), slice(first, last)
+                leave = tables.leave[new].swapaxes(0, 1)
+                if of_b:
+                    sums.to_b[:, some] += leave
+                    sums.batches[:, some] += tables.batches[new].swapaxes(0, 1)
+                    sums.difference[:, some] -= _late_energy(sums, leave)
+                if back_wanted and of_a:
+                    sums.to_a[:, some] += leave
+
+            for call in (add_rows, add_columns):
+                over_rows(call, rows.stop - rows.start, least=rows_of_thread(tables.batches))
             done += rows.stop - rows.start
             if progress is not None:
                 progress(done)
@@ -276,15 +287,6 @@ def _room(model: Model, rows: int, columns: int, arrive: bool, leave: bool) -> T
 
 def _clear(first: int, last: int, table: np.ndarray) -> None:
     table[first:last] = 0.0
-
-
-def _add(table: np.ndarray, more: np.ndarray) -> None:
-    """Add `more` to a table, in threads."""
-
-    def call(first: int, last: int) -> None:
-        table[first:last] += more[first:last]
-
-    over_rows(call, len(table), least=rows_of_thread(table))
 
 
 def _late_energy(sums: Sums, table: np.ndarray) -> np.ndarray:

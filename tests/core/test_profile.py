@@ -182,7 +182,8 @@ def _simulated(threads: int) -> tuple[ss.Echograms, ss.Stage]:
 
 
 def _counts(of: ss.Stage) -> dict[str, object]:
-    return {"name": of.name, **of.counts, "stages": [_counts(s) for s in of.stages]}
+    inner = sorted(of.stages, key=lambda stage: stage.name)  # of those side by side either begins first
+    return {"name": of.name, **of.counts, "stages": [_counts(s) for s in inner]}
 
 
 def test_rays_are_counted_and_threads_change_no_count() -> None:

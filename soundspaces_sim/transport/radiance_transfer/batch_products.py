@@ -14,8 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.transport.radiance_transfer.batch_variance import WindowSteps, moment_rows
-from soundspaces_sim.transport.radiance_transfer.convolution import PLAIN, Kind, accumulate, transform
+from soundspaces_sim.transport.radiance_transfer.convolution import (
+    MULTIPLICATIONS,
+    PLAIN,
+    Kind,
+    accumulate,
+    transform,
+)
 from soundspaces_sim.transport.radiance_transfer.time_steps import Stretch
 from soundspaces_sim.transport.tables import BATCHES
 
@@ -75,10 +82,11 @@ def no_products(
 
 def add_all_products(windows: WindowSteps, a: ByBatch, b: ByBatch, out: ProductsByBatch) -> None:
     """Add the products by way of a chunk of patches; `a is b` for points with themselves."""
-    same = a is b
-    one = len(a.both[0]) * len(b.both[0]) * max(len(s.convolution.forward) for s in windows.stretches)
+    same, points = a is b, len(a.both[0]) * len(b.both[0])
+    one = points * max(len(s.convolution.forward) for s in windows.stretches)
     together = min(max(_TOGETHER // one, 1), BATCHES)
-    for band in range(len(a.both)):
+
+    def call(band: int, _: int) -> None:
         for k in range(0, BATCHES, together):
             some = slice(k, k + together)
             of_a = a.both[band, :, some]
@@ -91,6 +99,9 @@ def add_all_products(windows: WindowSteps, a: ByBatch, b: ByBatch, out: Products
             _add_counts(windows, a, b, band, out.of_a[band], out.there)
             if not same:
                 _add_counts(windows, b, a, band, out.of_b[band], out.back)
+
+    of_band = one * BATCHES * a.both.shape[-1]
+    over_rows(call, len(a.both), chunk=1, least=-(-MULTIPLICATIONS // of_band))
 
 
 def _variance_and_unlike(ends: ByBatch, band: int) -> np.ndarray:
