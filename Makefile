@@ -6,7 +6,9 @@ BIN := $(VENV)/bin
 # Python compiles what it imports, and keeps it: not all of every package, which takes as long as the rest of the
 # installation. Where the environment forbids to keep it, each of the tests' processes would compile it anew.
 export PYTHONDONTWRITEBYTECODE :=
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+# All distributions of this repository are built with what `.made` installs, not each with a copy of its own.
+INSTALL := $(PIP) --no-build-isolation
 
 SCENE ?= demo
 OUT ?= out
@@ -31,8 +33,9 @@ ARGS ?=
 BENCH ?= all
 BASE ?= main
 HOMES ?= 1000
-# What `make lint` checks the types of, with what that imports; empty for neighbours too.
-TYPED ?= -p soundspaces_sim -p tests -p benchmarks
+# What `make lint` checks the types of, with what that imports; empty for tests, benchmarks and neighbours too, as
+# `make check` and `make test-neighbours` do.
+TYPED ?= -p soundspaces_sim
 NEIGHBOURS := $(patsubst neighbours/%/pyproject.toml,%,$(wildcard neighbours/*/pyproject.toml))
 
 .DEFAULT_GOAL := help
@@ -46,6 +49,7 @@ $(VENV)/.made: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
+	$(PIP) "hatchling>=1.25" editables
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.made

@@ -22,9 +22,10 @@ from soundspaces_sim.core.numerics.kernel import core_count
 from soundspaces_sim.scene.scene import Scene
 
 # Points of the tiles that are timed, one after the other until that would take too long: the larger ones tell
-# better what a pair costs beside what a tile costs anyway, but where a pair takes seconds small ones do too.
-_SIZES = (2, 4, 16, 48)
-_BUDGET_S = 20.0
+# better what a pair costs beside what a tile costs anyway, but where a pair takes seconds small ones do too. Large
+# ones have a fifth of a job's points at most: a forecast is much shorter than its job.
+_SMALL, _LARGE, _PART = (2, 4), (16, 48), 5
+_BUDGET_S = 40.0
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def forecast(
 ) -> Forecast:
     """Plan a scene's job and measure some of its points on one core, by its CPU time; no files. `progress` is
     told of each step. The measurement is bounded: the transfer subpaths, which the job needs and finds in the
-    cache, one tile of two points, and larger ones only if each should take less than 20 s.
+    cache, one tile of two points, and larger ones only if each should take less than 40 s.
 
     Raises `SceneError`, `PointError`.
     """
@@ -77,7 +78,8 @@ def forecast(
     if patches:
         step(f"Tracing the transfer subpaths from {patches:,} patches")
         load_shared(job.model)  # on all cores
-    sizes = sorted({1 if count == 2 else 2, *(min(k, count) for k in _SIZES)})
+    small = {1 if count == 2 else _SMALL[0], *(min(k, count) for k in _SMALL)}
+    sizes = sorted({*small, *(k for k in _LARGE if _PART * k <= count)})
     with use_cores(1):
         cost = measure(job, sizes, _BUDGET_S, time.process_time, tell)
     return Forecast(

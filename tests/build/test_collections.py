@@ -224,7 +224,7 @@ def test_a_forecast_is_what_the_job_then_takes(tmp_path: Path) -> None:
         (3.0, [2, 2, 4, 8], (4, 8)),
         (4.5, [2, 2, 4, 8], (4, 8)),
         (4.99, [2, 2, 4, 8], (4, 8)),
-        (5.1, [2, 2], (2,)),
+        (10.1, [2, 2], (2,)),
         (19.9, [2, 2], (2,)),
         (20.1, [2], (2,)),
         (40.0, [2], (2,)),
@@ -234,8 +234,9 @@ def test_what_is_measured_is_bounded(
     tmp_path: Path, seconds: float, told_of: list[int], measured: tuple[int, ...],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Every tile takes so many seconds. One of twice the points has four times the pairs: with up to 5 s for
-    the one before it is within 20 s, with more not, and a tile that takes longer than that is not made twice.
+    """Every tile takes so many seconds. One of twice the points takes two to four times as long: with up to 5 s
+    for the one before it is within 20 s, with more than 10 s not, and a tile that takes longer than that is not
+    made twice.
     Points are those that are told of; subpaths those of these points, for each way."""
     points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (8, 3))
     job, _ = plan_job(_room("hall", 6.0), tmp_path, small_job(tile=12), points)
@@ -255,18 +256,22 @@ def test_what_is_measured_is_bounded(
     assert 0.0 <= cost.least_seconds(tile) <= cost.seconds(tile)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5])
 @pytest.mark.parametrize(
     ("fixed", "point", "pair"), [(40.0, 0.5, 0.0), (0.0, 3.0, 0.1), (1.0, 1.0, 0.01)]
 )
 def test_what_a_tile_takes_lies_between_the_bounds(
-    tmp_path: Path, fixed: float, point: float, pair: float
+    tmp_path: Path, fixed: float, point: float, pair: float, share: float
 ) -> None:
     """Of tiles that take fixed + point k + pair k² seconds, whichever of the three outweighs, from 2 and 4
-    points."""
+    points; a share of what points take is in the stages that work on pairs."""
     points = np.random.default_rng(0).uniform([0.5, 0.5, 1.0], [5.5, 2.5, 1.5], (8, 3))
     job, _ = plan_job(_room("hall", 6.0), tmp_path, small_job(tile=12), points)
     (tile,) = job.plan.tiles
-    timed = [estimate._Timed(k, fixed + point * k + pair * k**2, 1000 * k**2) for k in (2, 4)]
+    timed = [
+        estimate._Timed(k, fixed + point * k + pair * k**2, share * point * k + pair * k**2, 1000 * k**2)
+        for k in (2, 4)
+    ]
     true = fixed + point * 8 + pair * 64
     for done in (timed, timed[:1]):
         cost = estimate._cost(job, done)

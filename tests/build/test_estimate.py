@@ -23,3 +23,16 @@ def test_a_forecast_is_of_processor_time(tmp_path: Path, monkeypatch: pytest.Mon
     quiet = estimate.estimate(job).seconds
     monkeypatch.setattr(time, "perf_counter", lambda: 1000.0 * real())
     assert estimate.estimate(job).seconds < 10.0 * quiet
+
+
+def test_stages_of_pairs_are_stages_of_a_tile() -> None:
+    """A forecast takes what pairs cost from these stages: none of them has another name."""
+    config = ss.SimulationConfig(walks=64, duration=0.4)
+    points = np.random.default_rng(0).uniform(0.5, 2.5, (4, 3))
+    with ss.profiled("tile") as found:
+        ss.simulate(box((6.0, 5.0, 3.0), walls(0.2, 0.3)), points, points, config)
+
+    def names(of: ss.Stage) -> set[str]:
+        return {of.name}.union(*map(names, of.stages))
+
+    assert set(estimate._OF_PAIRS) <= {*names(found.stage), estimate._ENCODING}

@@ -155,7 +155,7 @@ def test_a_forecast_knows_what_is_simulated_as_one(
     room = ss.shoebox(SIZE, absorption=0.3, scattering=0.4, name="room")
     job = open_dataset_job(room, tmp_path / "room", _config(), points).job
     assert job is not None
-    cost = estimate.Cost(1.0, 0.001, 0.0, 0.0, 1.0, 0.0, (3, 9))
+    cost = estimate.Cost(1.0, 0.001, 0.0, 1.0, 0.001, 1.0, 0.0, (4, 16))
     monkeypatch.setattr(estimate, "measure", lambda *_: cost)
     monkeypatch.setattr(estimate, "thread_count", lambda: 1)
     assert estimate.estimate(job).seconds == pytest.approx(20 + 0.001 * 400)

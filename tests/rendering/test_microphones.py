@@ -92,6 +92,7 @@ def test_delay_and_level_of_each_capsule() -> None:
     np.testing.assert_allclose(level, 1.0 / np.sqrt(4.0 * np.pi) / own, rtol=2e-3)
 
 
+@ci_slow
 def test_coherence_of_a_diffuse_field() -> None:
     """sin(kr) / kr between capsules 10 cm apart, whatever the direction of the line, in bands of 200 Hz to 6 kHz."""
     offsets = np.array([[0.05, 0.0, 0.0], [-0.05, 0.0, 0.0], [0.0, 0.0, 0.05], [0.0, 0.0, -0.05]])

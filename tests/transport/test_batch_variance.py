@@ -136,6 +136,7 @@ def test_energies_of_batches_are_those_of_the_definition() -> None:
     np.testing.assert_allclose(batches.sum(axis=2), total, rtol=1e-5)
 
 
+@ci_slow
 def test_batches_differ_by_as_much_more_as_groups_hide() -> None:
     """The variance of a pair's energy by batches is larger by what both ends have within groups, of both directions;
     energies, and steps in which nothing is hidden, stay."""

@@ -15,7 +15,7 @@ from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.reflection_counts.of_tile import CountMoments, counts_of, moments_of
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Sums
-from tests.marks import CI_SLOW, ci_slow
+from tests.marks import ci_slow
 from tests.rooms import box, plain, table, two_rooms
 
 SIZE = (5.0, 4.0, 3.0)
@@ -105,7 +105,8 @@ def test_radiance_transfer_counts_as_receiver_volumes_do() -> None:
     assert (np.abs(array.mean(axis=0)) < 5.0 * error + 0.1).all()
 
 
-@pytest.mark.parametrize("scattering", [0.3, pytest.param(0.9, marks=CI_SLOW)])
+@ci_slow
+@pytest.mark.parametrize("scattering", [0.3, 0.9])
 def test_other_walls_are_those_of_an_independent_simulation(scattering: float) -> None:
     """Early and late energy of every pair, within both error bars; and far beyond them with the old walls."""
     rng = np.random.default_rng(3)

@@ -114,6 +114,7 @@ def test_a_point_shut_in_furniture_hears_nothing() -> None:
     assert np.all(_run(scene, [2.3, 2.3, 0.3], Q) == 0.0)
 
 
+@ci_slow
 def test_few_bounces_bands_and_short_durations() -> None:
     room = box(SIZE, table(0.1, 0.5))
     few, many = _run(room, P, Q, max_bounces=1, duration=0.3), _run(room, P, Q, duration=0.3)

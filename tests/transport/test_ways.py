@@ -13,6 +13,7 @@ from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.scene.rays.geometry import Geometry, unoccluded
 from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
 from soundspaces_sim.transport.preparation import make_model
+from tests.marks import ci_slow
 from tests.rooms import edges_alone
 from tests.transport.edge_walks import SPEED
 from tests.transport.far_round import CASES, TABLE, far_round
@@ -45,6 +46,7 @@ def _geodesics(scene: ss.Scene, points: np.ndarray) -> np.ndarray:
     )
 
 
+@ci_slow
 def test_first_arrivals_go_the_shortest_way() -> None:
     """The demo, 24 points, 193 pairs out of sight, half of which are more than two edges apart: of 95 in 100 sound first
     comes by way of edges, not later than by the shortest way between places of edges and their ends."""
