@@ -26,12 +26,7 @@ from soundspaces_sim.dataset.format.schema import Form
 from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.dataset.format.table import concatenate_tables, shard_table
 from soundspaces_sim.dataset.format.waveform_shard import WaveformShard
-from soundspaces_sim.dataset.materials import (
-    ChangeableMaterials,
-    Furnishing,
-    changeable,
-    furnishing,
-)
+from soundspaces_sim.dataset.materials import ChangeableMaterials, Furnishing, changeable, furnishing
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups

@@ -12,11 +12,7 @@ from soundspaces_sim import echogram as with_numba  # loads what needs Numba whe
 from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.core.numerics.bands import band_means
 from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.reflection_counts import (
-    Change,
-    MaterialGroups,
-    ReflectionCounts,
-)
+from soundspaces_sim.echogram.reflection_counts import Change, MaterialGroups, ReflectionCounts
 from soundspaces_sim.echogram.time_windows import time_windows
 
 EARLY_S = 0.08  # as of `Echogram.relative_error`

@@ -24,10 +24,7 @@ from soundspaces_sim.nav.generate import EpisodeMaker
 from soundspaces_sim.nav.metrics import NAMES
 from soundspaces_sim.nav.sensors import SensorSuite
 from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.task import (
-    SENSORS,
-    sensor_bounds,
-)
+from soundspaces_sim.nav.task import SENSORS, sensor_bounds
 
 need("an environment", "nav")
 

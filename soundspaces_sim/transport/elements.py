@@ -15,16 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import part
-from soundspaces_sim.core.numerics.vec3 import (
-    Vec3,
-    along,
-    divide,
-    dot,
-    length,
-    reflect,
-    row,
-    subtract,
-)
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, divide, dot, length, reflect, row, subtract
 from soundspaces_sim.scene.enclosure import DEEPEST
 from soundspaces_sim.scene.rays.geometry import Geometry, Hit, cast_ray, lifted, surface_point
 from soundspaces_sim.transport.bsdf.surface import (

@@ -12,9 +12,7 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import moment_ro
 from soundspaces_sim.transport.radiance_transfer.convolution import product_count
 from soundspaces_sim.transport.radiance_transfer.plan import DIRECTED, batch_edges
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps, stretch_steps
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
-    CHUNK,
-)
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, count_rows
 from soundspaces_sim.transport.tile import batch_rows
 

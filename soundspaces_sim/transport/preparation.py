@@ -27,11 +27,7 @@ from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
 from soundspaces_sim.transport.reflection_counts.groups import material_groups
 from soundspaces_sim.transport.rounds import round_sizes
-from soundspaces_sim.transport.scene_surfaces import (
-    element_sides,
-    scattered_by_size,
-    scene_surfaces,
-)
+from soundspaces_sim.transport.scene_surfaces import element_sides, scattered_by_size, scene_surfaces
 from soundspaces_sim.transport.state import Settings, World
 from soundspaces_sim.transport.technique import Facets
 from soundspaces_sim.transport.techniques import TECHNIQUES

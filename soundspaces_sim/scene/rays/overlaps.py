@@ -17,14 +17,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, cross, dot, length, row, su
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, make_box_tree, of_leaves
 from soundspaces_sim.scene.rays.geometry import Covers, Geometry
-from soundspaces_sim.scene.triangles import (
-    areas,
-    boxes,
-    cross_products,
-    pieces_of,
-    side_numbers,
-    welded,
-)
+from soundspaces_sim.scene.triangles import areas, boxes, cross_products, pieces_of, side_numbers, welded
 
 _NEAR = (
     0.5  # of the offset of rays: nearer triangles lie in one place, and more of them than that has to

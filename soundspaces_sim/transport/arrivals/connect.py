@@ -48,12 +48,7 @@ from soundspaces_sim.transport.arrivals.images import (
     unfold,
 )
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
-from soundspaces_sim.transport.arrivals.sight import (
-    Seen,
-    Sight,
-    coordinates_in,
-    row_of,
-)
+from soundspaces_sim.transport.arrivals.sight import Seen, Sight, coordinates_in, row_of
 from soundspaces_sim.transport.arrivals.specular_planes import NEAR, cover_at
 from soundspaces_sim.transport.arrivals.two_edges import (
     BEYOND,

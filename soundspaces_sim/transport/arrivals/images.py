@@ -37,11 +37,7 @@ from soundspaces_sim.scene.rays.geometry import (
     unoccluded,
 )
 from soundspaces_sim.transport.arrivals.specular_planes import THERE, Cover, SpecularPlanes, cover_at
-from soundspaces_sim.transport.bsdf.surface import (
-    Surfaces,
-    attenuate_specular,
-    specular_reflectance,
-)
+from soundspaces_sim.transport.bsdf.surface import Surfaces, attenuate_specular, specular_reflectance
 
 _PARALLEL = 0.1  # sine of an angle: less is none
 _COSINES = 16  # of angles of incidence

@@ -9,10 +9,7 @@ from soundspaces_sim.core.io.check_cached import are_starts, like, within
 from soundspaces_sim.core.io.disk_cache import cached_on_disk
 from soundspaces_sim.scene.scene import Scene, scene_key
 from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
-from soundspaces_sim.transport.arrivals.scene_edges import (
-    MutualVisibility,
-    find_mutual_visibility,
-)
+from soundspaces_sim.transport.arrivals.scene_edges import MutualVisibility, find_mutual_visibility
 from soundspaces_sim.transport.arrivals.specular_planes import SpecularPlanes, group_planes
 from soundspaces_sim.transport.arrivals.wedges import Wedges, no_wedges
 from soundspaces_sim.transport.model import PreparedScene

@@ -12,13 +12,7 @@ from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, dot, length, negate, row, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.arrivals.wedges import (
-    OFF_LINE,
-    ON_FACE,
-    Wedges,
-    clear_point,
-    edge_point,
-)
+from soundspaces_sim.transport.arrivals.wedges import OFF_LINE, ON_FACE, Wedges, clear_point, edge_point
 
 _SAME_DIRECTION = np.deg2rad(5.0)  # a point so little behind the first face is on it
 _PARALLEL = 0.999  # cosine between edges

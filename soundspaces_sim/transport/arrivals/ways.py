@@ -42,12 +42,7 @@ from soundspaces_sim.transport.arrivals.field import (
 )
 from soundspaces_sim.transport.arrivals.images import View
 from soundspaces_sim.transport.arrivals.scene_edges import Edges, beside, is_free
-from soundspaces_sim.transport.arrivals.two_edges import (
-    MIN_RADIUS,
-    on_faces,
-    on_one_side,
-    sense_of,
-)
+from soundspaces_sim.transport.arrivals.two_edges import MIN_RADIUS, on_faces, on_one_side, sense_of
 from soundspaces_sim.transport.arrivals.wedges import (
     BOUNDARY_OFFSET,
     ON_FACE,

@@ -18,13 +18,7 @@ from soundspaces_sim.transport.bsdf.surface import pdf
 from soundspaces_sim.transport.paths import mis
 from soundspaces_sim.transport.paths.detector import Detectors, direction_cell, level_of
 from soundspaces_sim.transport.state import Receivers, Scratch, Tables, World
-from soundspaces_sim.transport.tables import (
-    absorb_air,
-    deposit,
-    deposit_batch,
-    deposit_counts,
-    time_bin,
-)
+from soundspaces_sim.transport.tables import absorb_air, deposit, deposit_batch, deposit_counts, time_bin
 
 
 class Segment(NamedTuple):

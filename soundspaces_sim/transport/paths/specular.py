@@ -60,10 +60,7 @@ from soundspaces_sim.transport.paths.path_state import (
     start_path,
 )
 from soundspaces_sim.transport.paths.subpath import count_tallies, make_scratch
-from soundspaces_sim.transport.radiance_transfer.first_reflections import (
-    packed,
-    room_for,
-)
+from soundspaces_sim.transport.radiance_transfer.first_reflections import packed, room_for
 from soundspaces_sim.transport.radiance_transfer.patches import patch_at
 from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
 from soundspaces_sim.transport.state import (

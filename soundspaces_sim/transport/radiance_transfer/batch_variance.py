@@ -63,15 +63,8 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import (
     make_stretches,
     outgoing_row,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
-    CHUNK,
-)
-from soundspaces_sim.transport.tables import (
-    BATCHES,
-    count_rows,
-    deposit_batch,
-    deposit_counts,
-)
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
+from soundspaces_sim.transport.tables import BATCHES, count_rows, deposit_batch, deposit_counts
 
 RAISED = 1.0 / 32.0  # λ of (1)
 _SIGHT_HEIGHT = 0.1  # m above patches, where they must see each other

@@ -48,10 +48,7 @@ from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
     trace_own_subpaths,
 )
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_rows
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
-    CHUNK,
-    TransferSubpaths,
-)
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, TransferSubpaths
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.tile import Walks
 

@@ -23,15 +23,8 @@ from soundspaces_sim.transport.radiance_transfer.batch_variance import (
     add_to_group,
 )
 from soundspaces_sim.transport.radiance_transfer.first_reflections import Continuations, Reflections
-from soundspaces_sim.transport.radiance_transfer.time_steps import (
-    TimeSteps,
-    incident_row,
-    outgoing_row,
-)
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
-    CHUNK,
-    TransferSubpaths,
-)
+from soundspaces_sim.transport.radiance_transfer.time_steps import TimeSteps, incident_row, outgoing_row
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, TransferSubpaths
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, harmonics
 
 

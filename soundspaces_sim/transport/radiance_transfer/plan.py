@@ -29,9 +29,7 @@ from soundspaces_sim.transport.radiance_transfer.time_steps import (
     make_coarse,
     make_stretches,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
-    CHUNK,
-)
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
 
 DIRECTED = 512  # patches that tell from where sound arrives, if there are more
 _STREAM = 0xD1CE  # keeps the draw of patches apart from others

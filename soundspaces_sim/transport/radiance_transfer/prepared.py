@@ -30,10 +30,7 @@ from soundspaces_sim.transport.radiance_transfer.shared_and_own import (
     subpaths_per_patch,
     trace_transfer_subpaths,
 )
-from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import (
-    CHUNK,
-    TransferSubpaths,
-)
+from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK, TransferSubpaths
 from soundspaces_sim.transport.state import World
 from soundspaces_sim.transport.tables import BATCHES
 from soundspaces_sim.transport.technique import Facets
