@@ -133,7 +133,7 @@ def run_techniques(
     techniques: Sequence[Technique] = TECHNIQUES,
     kept: KeptTraces | None = None,
 ) -> Made:
-    """What techniques make of a tile, in three stages; as for `trace_tile`."""
+    """What techniques make of a tile, in three stages, of which two go on side by side; as for `trace_tile`."""
     check_requirements(techniques)
     make = partial(make_side, model) if kept is None else kept.side
     with stage("detectors and tables"):
