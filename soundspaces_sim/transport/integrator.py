@@ -223,6 +223,7 @@ def _trace(
                 if back_wanted and of_a:
                     sums.to_a[:, some] += leave
 
+            # One after the other: of one side, a row and a column of two points meet in a pair.
             for call in (add_rows, add_columns):
                 over_rows(call, rows.stop - rows.start, least=rows_of_thread(tables.batches))
             done += rows.stop - rows.start
