@@ -19,6 +19,7 @@ import logging
 import os
 import pickle
 import sys
+import threading
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -142,6 +143,13 @@ def _without_literals(args: Any, kws: Any) -> tuple[tuple[Any, ...], dict[str, A
 _threads: int | None = None
 
 
+class _OfThread(threading.local):
+    alone: bool = False  # in a call of `over_rows` whose own calls are not shared out
+
+
+_mine = _OfThread()
+
+
 def core_count() -> int:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
@@ -167,16 +175,18 @@ def over_rows(
     chunk: int | None = None,
     scratch: Callable[[], Any] | None = None,
     least: int = 1,
+    alone: bool = False,
 ) -> None:
     """Call `function(first, last, *args)` for slices that cover `rows` rows, in threads.
 
-    Every row must be computed from its number alone, so that slices and threads change nothing. `chunk`:
-    rows per call; by default four calls per thread. `scratch` makes what each call works in, as its last
-    argument: kernels that allocate take seconds longer to compile. `least`: rows for which it is worth to start a
-    thread.
+    Every row must be computed from its number alone, so that slices and threads change nothing. `chunk`: rows per
+    call; by default four calls per thread, none of fewer than `least` rows. `scratch` makes what each call works
+    in, as its last argument: kernels that allocate take seconds longer to compile. `least`: rows for which it is
+    worth to start a thread. `alone`: what a call shares out itself, its thread does alone. Where there are calls
+    enough for all threads, more and shorter ones would only wait for each other.
     """
-    threads = min(thread_count(), max(rows // least, 1))
-    step = chunk or max(-(-rows // (4 * max(threads, 1))), 1)
+    threads = 1 if _mine.alone else min(thread_count(), max(rows // least, 1))
+    step = chunk or max(-(-rows // (4 * threads)), min(least, -(-rows // threads)), 1)
 
     def call(first: int) -> None:
         check()
@@ -186,8 +196,12 @@ def over_rows(
     stage = here()
 
     def call_in_thread(first: int) -> None:
-        with working_in(stage):
-            call(first)
+        before, _mine.alone = _mine.alone, alone
+        try:
+            with working_in(stage):
+                call(first)
+        finally:
+            _mine.alone = before
 
     starts = range(0, rows, step)
     with deferred():
@@ -203,14 +217,14 @@ def rows_of_thread(table: np.ndarray) -> int:
     return max(2**22 // max(table[:1].nbytes, 1), 1)
 
 
-def at_once(*tasks: Callable[[], Any]) -> list[Any]:
+def at_once(*tasks: Callable[[], Any], least: int = 1, alone: bool = False) -> list[Any]:
     """What each of these gives, in threads side by side, those that take longest first: they may use `over_rows`
-    themselves, and where one is busy with Python the others have the cores."""
+    themselves, and where one is busy with Python the others have the cores. `least`, `alone`: of `over_rows`."""
     results: list[Any] = [None] * len(tasks)
 
     def call(first: int, last: int) -> None:
         for i in range(first, last):
             results[i] = tasks[i]()
 
-    over_rows(call, len(tasks), chunk=1)
+    over_rows(call, len(tasks), chunk=1, least=least, alone=alone)
     return results

@@ -13,29 +13,34 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 
 
 class _Call:
-    """Pieces of work, taken in order, of which at most `most` are done at a time."""
+    """Pieces of work, taken in order, for which at most `most` threads work."""
 
     def __init__(self, work: Callable[[int], None], pieces: Sequence[int], most: int) -> None:
-        self.work, self.pieces, self.most = work, pieces, most
-        self.begun, self.running = 0, 0
+        self.work, self.most = work, most
+        self.left, self.threads = deque(pieces), 0
         self.errors: list[tuple[int, BaseException]] = []
 
     @property
     def open(self) -> bool:
-        """Whether somebody may take a piece."""
-        return self.begun < len(self.pieces) and self.running < self.most and not self.errors
+        """Whether one more thread may work for it."""
+        return bool(self.left) and self.threads < self.most
 
     @property
     def over(self) -> bool:
-        return self.running == 0 and (self.begun == len(self.pieces) or bool(self.errors))
+        return self.threads == 0 and not self.left
 
 
 class _Board:
-    """Calls whose pieces are not all taken, and the threads that take them."""
+    """Calls whose pieces are not all taken, and the threads that take them.
+
+    The lock is for a thread that begins to work for a call, or ceases to. Between two pieces it is not taken: many
+    threads with short pieces would do little but wait for it.
+    """
 
     def __init__(self) -> None:
         lock = threading.Lock()
@@ -54,12 +59,12 @@ class _Board:
                         self.ended.wait()
                     if call.over:
                         break
-                    taken = self._take(self._next(call))
-                self._do(*taken)
+                    taken = self._begin(self._next(call))
+                self._work(taken, until_done=taken is call)
         finally:  # whatever has interrupted this thread, no piece is begun any more
             with self.lock:
                 self.calls.remove(call)
-                call.pieces = call.pieces[: call.begun]
+                call.left.clear()
                 while not call.over:
                     self.ended.wait()
 
@@ -75,9 +80,9 @@ class _Board:
             with self.lock:
                 while (call := self._next()) is None:
                     self.shared.wait()
-                taken = self._take(call)
-            self._do(*taken)
-            del call, taken  # not to keep a scene in memory until there is more to do
+                self._begin(call)
+            self._work(call)
+            del call  # not to keep a scene in memory until there is more to do
 
     def _next(self, first: _Call | None = None) -> _Call | None:
         """A call with a piece to take: `first`, or else the one that began last."""
@@ -85,28 +90,34 @@ class _Board:
             return first
         return next((c for c in reversed(self.calls) if c.open), None)
 
-    def _take(self, call: _Call | None) -> tuple[_Call, int]:
+    def _begin(self, call: _Call | None) -> _Call:
         assert call is not None
-        piece = call.pieces[call.begun]
-        call.begun += 1
-        call.running += 1
-        return call, piece
+        call.threads += 1
+        return call
 
-    def _do(self, call: _Call, piece: int) -> None:
-        error: BaseException | None = None
+    def _work(self, call: _Call, until_done: bool = False) -> None:
+        """Take pieces of a call: one, and more until a call that began later has one to take, or `until_done`."""
         try:
-            call.work(piece)
-        except BaseException as raised:  # whoever shared it out raises it
-            error = raised
-        with self.lock:
-            full = call.running == call.most
-            call.running -= 1
-            if error is not None:
-                call.errors.append((piece, error))
-            if call.over:
-                self.ended.notify_all()
-            elif full and call.open:  # this thread may take a piece of another call
-                self.shared.notify()
+            while call.left:
+                try:
+                    piece = call.left.popleft()
+                except IndexError:  # another thread has taken the last one meanwhile
+                    break
+                try:
+                    call.work(piece)
+                except BaseException as error:  # whoever shared it out raises it
+                    call.errors.append((piece, error))
+                    call.left.clear()
+                if not until_done and any(c.open for c in self.calls[-1:] if c is not call):
+                    break
+        finally:
+            with self.lock:
+                full = call.threads == call.most
+                call.threads -= 1
+                if call.over:
+                    self.ended.notify_all()
+                elif full and call.open:  # this thread may work for another call
+                    self.shared.notify()
 
 
 _board = _Board()

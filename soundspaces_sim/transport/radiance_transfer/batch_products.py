@@ -10,11 +10,12 @@ side.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows
+from soundspaces_sim.core.numerics.kernel import at_once, thread_count
 from soundspaces_sim.transport.radiance_transfer.batch_variance import WindowSteps, moment_rows
 from soundspaces_sim.transport.radiance_transfer.convolution import (
     MULTIPLICATIONS,
@@ -26,7 +27,8 @@ from soundspaces_sim.transport.radiance_transfer.convolution import (
 from soundspaces_sim.transport.radiance_transfer.time_steps import Stretch
 from soundspaces_sim.transport.tables import BATCHES
 
-_TOGETHER = 2**21  # products of points of as many batches are made at once
+_TOGETHER = 2**21  # products of points of as many batches are made at once, …
+_TASKS = 4  # … unless a thread would have fewer tasks
 
 
 class ByBatch(NamedTuple):
@@ -82,26 +84,31 @@ def no_products(
 
 def add_all_products(windows: WindowSteps, a: ByBatch, b: ByBatch, out: ProductsByBatch) -> None:
     """Add the products by way of a chunk of patches; `a is b` for points with themselves."""
-    same, points = a is b, len(a.both[0]) * len(b.both[0])
+    same, points, bands = a is b, len(a.both[0]) * len(b.both[0]), len(a.both)
     one = points * max(len(s.convolution.forward) for s in windows.stretches)
-    together = min(max(_TOGETHER // one, 1), BATCHES)
+    of_thread = bands * BATCHES // (_TASKS * thread_count())
+    together = max(min(_TOGETHER // one, of_thread, BATCHES), 1)
 
-    def call(band: int, _: int) -> None:
-        for k in range(0, BATCHES, together):
-            some = slice(k, k + together)
-            of_a = a.both[band, :, some]
-            of_b = of_a if same else b.both[band, :, some]
-            add_both_ways(windows, of_a, of_b, out.raised[band, some])
+    def counts(band: int) -> None:
+        _add_counts(windows, a, b, band, out.of_a[band], out.there)
+        if not same:
+            _add_counts(windows, b, a, band, out.of_b[band], out.back)
+
+    def within(band: int) -> None:
         of_a = _variance_and_unlike(a, band)
         of_b = of_a if same else _variance_and_unlike(b, band)
         add_both_ways(windows, of_a, of_b, out.within[band])
-        if out.of_a.shape[1]:
-            _add_counts(windows, a, b, band, out.of_a[band], out.there)
-            if not same:
-                _add_counts(windows, b, a, band, out.of_b[band], out.back)
 
-    of_band = one * BATCHES * a.both.shape[-1]
-    over_rows(call, len(a.both), chunk=1, least=-(-MULTIPLICATIONS // of_band))
+    def batches(band: int, first: int) -> None:
+        some = slice(first, first + together)
+        of_a = a.both[band, :, some]
+        of_b = of_a if same else b.both[band, :, some]
+        add_both_ways(windows, of_a, of_b, out.raised[band, some])
+
+    tasks = [partial(counts, band) for band in range(bands) if out.of_a.shape[1]]
+    tasks += [partial(within, band) for band in range(bands)]
+    tasks += [partial(batches, band, k) for band in range(bands) for k in range(0, BATCHES, together)]
+    at_once(*tasks, least=-(-MULTIPLICATIONS // (one * together * a.both.shape[-1])), alone=True)
 
 
 def _variance_and_unlike(ends: ByBatch, band: int) -> np.ndarray:
