@@ -6,6 +6,7 @@ there and whole are left alone.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -63,6 +64,9 @@ def build_tiles(
             wanted = [w._replace(source=s) for w, s in zip(lacking[number], sources, strict=True)]
             built[number] = _publish(job, wanted)
     return built
+
+
+_THREADS = 4  # for each tile whose shards are encoded side by side: more would wait for HDF5
 
 
 class _Wanted(NamedTuple):
@@ -133,15 +137,22 @@ def _simulated(
             progress(traced * sum(tile.cost for tile in tiles) // square.cost)
 
     there, back = simulate_pairs(job.model, a, b, progress=told, kept=kept, waves=job.waves)
-    for number, tile in zip(square.numbers, tiles, strict=True):
+    together = max(thread_count() // _THREADS, 1)
+    for first in range(0, len(tiles), together):
+        some = slice(first, first + together)
+        spans = [tile.spans for tile in tiles[some]]
         with stage("encoding"):
-            each = (partial(_encoded, job, s, square.echograms(s, there, back)) for s in tile.spans)
-            encoded = at_once(*each)  # while one is in HDF5, which is one core's, the other has the rest
-        yield number, encoded
+            each = (partial(_encoded, job, square, s, there, back) for s in itertools.chain(*spans))
+            encoded = iter(
+                at_once(*each)
+            )  # while one is in HDF5, which is one core's, others have the rest
+        for number, of_tile in zip(square.numbers[some], spans, strict=True):
+            yield number, [next(encoded) for _ in of_tile]
 
 
-def _encoded(job: Job, span: Span, echoes: Echograms) -> bytes:
+def _encoded(job: Job, square: Square, span: Span, there: Echograms, back: Echograms | None) -> bytes:
     """A span's echogram shard."""
+    echoes = square.echograms(span, there, back)
     geodesic = job.geodesic[slice(*span[0]), slice(*span[1])]
     attributes = shard_attributes(job.plan.draft, echogram_entry(span))
     return encode_echograms(echoes, np.arange(*span[0]), np.arange(*span[1]), attributes, geodesic)

@@ -9,14 +9,17 @@ first.
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 import zlib
+from collections.abc import Iterable, Mapping
+from functools import partial
 
 import h5py
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel, over_rows
+from soundspaces_sim.core.numerics.kernel import at_once, kernel, over_rows
 
 LEVEL = 4  # of deflate
 FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": LEVEL, "fletcher32": True}
@@ -51,6 +54,15 @@ def packed(values: np.ndarray) -> list[bytes]:
     return [row + struct.pack("<I", of_row) for row, of_row in zip(deflated, sums.tolist(), strict=True)]
 
 
+def put_whole(file: h5py.File, values: Mapping[str, np.ndarray]) -> None:
+    """Datasets by name, of `values` that have entries, each of one chunk."""
+    largest_first = sorted(values, key=lambda name: -values[name].nbytes)
+    made = at_once(*(partial(packed, values[name][None]) for name in largest_first))
+    chunk = dict(zip(largest_first, made, strict=True))
+    for name, value in values.items():
+        _put(file, name, value, value.shape, chunk[name])
+
+
 def put_chunks(file: h5py.File, name: str, value: np.ndarray, axes: int) -> None:
     """A dataset of `value`, which has entries, with a chunk for each place on its first `axes`."""
     shape = value.shape[:axes]
@@ -61,15 +73,19 @@ def put_chunks(file: h5py.File, name: str, value: np.ndarray, axes: int) -> None
         chunks[first // _CHUNKS] = packed(rows[first:last])
 
     over_rows(call, len(rows), chunk=_CHUNKS)
+    _put(file, name, value, (*[1] * axes, *value.shape[axes:]), (c for part in chunks for c in part))
+
+
+def _put(
+    file: h5py.File, name: str, value: np.ndarray, shape: tuple[int, ...], chunks: Iterable[bytes]
+) -> None:
+    """A dataset like `value`, in `chunks` of a `shape` that `packed` has made."""
     dataset = file.create_dataset(
-        name,
-        value.shape,
-        value.dtype,
-        chunks=(*[1] * axes, *value.shape[axes:]),
-        maxshape=value.shape,
-        **FILTERS,
+        name, value.shape, value.dtype, chunks=shape, maxshape=value.shape, **FILTERS
     )
-    rest = (0,) * (value.ndim - axes)
-    for place, chunk in zip(np.ndindex(*shape), (c for part in chunks for c in part), strict=True):
-        dataset.id.write_direct_chunk((*place, *rest), chunk)
+    places = itertools.product(*(range(0, n, c) for n, c in zip(value.shape, shape, strict=True)))
+    for place, chunk in zip(places, chunks, strict=True):
+        dataset.id.write_direct_chunk(place, chunk)
+    # HDF5 lays out chunks when a dataset is closed. Left to Python, that is when its last reference goes, and a
+    # profiler that looks at our frames (each of Dask's workers has one) can hold it longer: other bytes.
     dataset.id.close()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim.core.errors import SimulationError
-from soundspaces_sim.core.io.chunks import FILTERS, put_chunks
+from soundspaces_sim.core.io.chunks import FILTERS, put_chunks, put_whole
 from soundspaces_sim.core.io.hdf5 import create_hdf5, put_text, written
 from soundspaces_sim.core.numerics.kernel import over_rows
 from soundspaces_sim.dataset.format import schema
@@ -112,17 +112,23 @@ class _ShardWriter:
             else:
                 self.file.attrs[name] = value
 
-    def put(self, name: str, value: np.ndarray, pairwise: bool = False) -> None:
-        """Add a dataset; `pairwise`: one chunk per pair, which is what a reader asks for."""
-        if pairwise and value.size:
-            put_chunks(self.file, name, value, 2)
-            return
-        chunks: Any = True if value.size == 0 else value.shape
-        # HDF5 lays out chunks when a dataset is closed. Left to Python, that is when its last reference goes, and
-        # a profiler that looks at our frames (each of Dask's workers has one) can hold it longer: other bytes.
-        self.file.create_dataset(
-            name, data=value, chunks=chunks, maxshape=value.shape, **_STORAGE
-        ).id.close()
+    def put(self, **values: np.ndarray) -> None:
+        """Add datasets, each as one chunk."""
+        put_whole(self.file, {name: value for name, value in values.items() if value.size})
+        for name, value in values.items():
+            if value.size == 0:
+                dataset = self.file.create_dataset(
+                    name, data=value, chunks=True, maxshape=value.shape, **_STORAGE
+                )
+                dataset.id.close()  # as `put_whole` does
+
+    def put_pairs(self, **values: np.ndarray) -> None:
+        """Add datasets with one chunk per pair, which is what a reader asks for."""
+        for name, value in values.items():
+            if value.size:
+                put_chunks(self.file, name, value, 2)
+            else:
+                self.put(**{name: value})
 
     def finish(self) -> bytes:
         self.file.close()
@@ -189,12 +195,8 @@ def encode_echograms(
         "early_groups": echoes.early.groups.astype(np.int8),
         **_pair_fields(echoes, geodesic),
     }
-    for name, value in {**fields, **counts, "low_peak": peaks}.items():
-        writer.put(name, value)
-    for name, value in {**of_pairs, "low": low}.items():
-        writer.put(name, value, pairwise=True)
-    writer.put("energy", code, pairwise=True)
-    writer.put("moments", moments, pairwise=True)
+    writer.put(**fields, **counts, low_peak=peaks)
+    writer.put_pairs(**of_pairs, low=low, energy=code, moments=moments)
     return writer.finish()
 
 
@@ -217,14 +219,14 @@ def encode_waveforms(
     distance = np.linalg.norm(positions[:, None] - shard.listeners[None], axis=2)
     onset = distance / float(attributes["speed_of_sound"])
     samples = math.ceil((shard.latest + 0.01) * attributes["rate"])
-    writer.put("source_index", shard.read("source_index")[sources])
-    writer.put("source_position", positions)
-    for name in ("listener_index", "listener_position", "band_edges"):
-        writer.put(name, shard.read(name))
-    for name, values in shard.pairs.items():
-        writer.put(name, values[sources])
-    writer.put("onset", onset.astype(np.float32))
-    writer.put("headings", np.array(headings, float))
+    writer.put(
+        source_index=shard.read("source_index")[sources],
+        source_position=positions,
+        **{name: shard.read(name) for name in ("listener_index", "listener_position", "band_edges")},
+        **{name: values[sources] for name, values in shard.pairs.items()},
+        onset=onset.astype(np.float32),
+        headings=np.array(headings, float),
+    )
 
     kinds = {"ambisonic": (9, samples), "binaural": (len(headings), 2, samples)}
     scale = {name: np.ones(shape, np.float32) for name in kinds}
@@ -248,8 +250,6 @@ def encode_waveforms(
                     padded = np.rint(padded / scale[name][i, j])
                 stored[name][i, j] = padded.astype(sample_format)
     for dataset in stored.values():
-        dataset.id.close()  # see `put`
-    for name, factors in scale.items():
-        writer.put(f"{name}_scale", factors)
-    writer.put("length", length)
+        dataset.id.close()  # as `put_whole` does
+    writer.put(**{f"{name}_scale": factors for name, factors in scale.items()}, length=length)
     return writer.finish()
