@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from numba import njit
 
+from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.scene.rays.embree import RayScene, intersect, occluded
 from tests.rooms import box, table
 
 
-@njit
+@kernel
 def _cast(handle, o, d, tfar):  # type: ignore[no-untyped-def]
     origin, direction = (o[0], o[1], o[2]), (d[0], d[1], d[2])
     t, face = intersect(handle, origin, direction, tfar)

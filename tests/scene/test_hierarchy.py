@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import njit
 
 import soundspaces_sim as ss
 from soundspaces_sim.core import embree_library
 from soundspaces_sim.core.numerics import target
+from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.scene.rays import embree, hierarchy
 from tests.marks import ci_slow
 from tests.rooms import box, table
@@ -22,7 +22,7 @@ from tests.rooms import box, table
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@njit
+@kernel
 def _cast(handle, o, d, limit, t, face, hit):  # type: ignore[no-untyped-def]
     for i in range(len(o)):
         p, e = (o[i, 0], o[i, 1], o[i, 2]), (d[i, 0], d[i, 1], d[i, 2])
@@ -30,7 +30,7 @@ def _cast(handle, o, d, limit, t, face, hit):  # type: ignore[no-untyped-def]
         hit[i] = hierarchy.occluded(handle, p, e, limit)
 
 
-@njit
+@kernel
 def _cast_by_embree(handle, o, d, limit, t, face, hit):  # type: ignore[no-untyped-def]
     for i in range(len(o)):
         p, e = (o[i, 0], o[i, 1], o[i, 2]), (d[i, 0], d[i, 1], d[i, 2])

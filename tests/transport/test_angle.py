@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.integrate import dblquad, quad
 
 import soundspaces_sim as ss
+from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.transport.bsdf import LAW_NAMES, SPECULAR, TRANSMISSION
 from soundspaces_sim.transport.bsdf.impedance import (
     factor,
@@ -54,21 +54,21 @@ def _porous(c: float, r: float) -> tuple[float, float, float]:
     return 1.0 - pressure_ratio**2 - passed**2, passed**2, pressure_ratio**2
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _delta(surfaces, material, lobe, cos):  # type: ignore[no-untyped-def]
     energy = np.ones(1)
     attenuate(surfaces, material, lobe, cos, energy, 1.0)
     return energy[0]
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _scatter(surfaces, material, d_in, d_out):  # type: ignore[no-untyped-def]
     energy = np.ones(1)
     evaluate(surfaces, material, d_in, (0.0, 0.0, 1.0), d_out, energy)
     return energy[0]
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _carried(surfaces, material, cos_in, cos_out):  # type: ignore[no-untyped-def]
     """A path's throughput after a diffuse event that had probability one."""
     beta, mixture = np.ones(1), np.ones(surfaces.proposal.shape[1])

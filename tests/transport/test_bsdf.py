@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.integrate import dblquad
 
+from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.rng import mix64, uniform
 from soundspaces_sim.transport import bsdf
 from tests.transport.test_sampling import N, chi_square, integrate
@@ -14,7 +14,7 @@ NAMES = [lobe.name for lobe in bsdf.LOBES]
 SCATTERING = [name for name, delta in zip(NAMES, bsdf.DELTA, strict=True) if not delta]
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _samples(lobe, d_in, normal, n):  # type: ignore[no-untyped-def]
     out = np.empty((n, 3))
     state = mix64(np.uint64(11))
@@ -25,12 +25,12 @@ def _samples(lobe, d_in, normal, n):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit
+@kernel
 def _pdf(lobe, d_in, normal, d_out):  # type: ignore[no-untyped-def]
     return bsdf.pdf(lobe, d_in, normal, (d_out[0], d_out[1], d_out[2]))
 
 
-@njit
+@kernel
 def _value(lobe, d_in, normal, d_out):  # type: ignore[no-untyped-def]
     return bsdf.value(lobe, d_in, normal, d_out)
 

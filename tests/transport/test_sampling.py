@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.integrate import dblquad
 from scipy.stats import chi2
 
+from soundspaces_sim.core.numerics.kernel import kernel
 from soundspaces_sim.core.numerics.rng import combine, mix64, uniform
 from soundspaces_sim.scene.rays import directions as sampling
 from soundspaces_sim.transport.bsdf import COUNT, LOBES
@@ -46,7 +46,7 @@ def integrate(pdf) -> np.ndarray:  # type: ignore[no-untyped-def]
     return cells
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _spheres(n):  # type: ignore[no-untyped-def]
     out = np.empty((n, 3))
     state = mix64(np.uint64(7))
@@ -57,7 +57,7 @@ def _spheres(n):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _cosines(n, nx, ny, nz):  # type: ignore[no-untyped-def]
     out = np.empty((n, 3))
     state = mix64(np.uint64(8))
@@ -68,7 +68,7 @@ def _cosines(n, nx, ny, nz):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _first_directions(n):  # type: ignore[no-untyped-def]
     out = np.empty((n, 3))
     for i in range(
@@ -98,7 +98,7 @@ def test_cosine(normal: tuple[float, float, float]) -> None:
     assert chi_square(directions, expected / expected.sum()) > 1e-4
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _events(surfaces, n):  # type: ignore[no-untyped-def]
     """Sums of band weights per lobe and counts per (proposal, lobe) after one event."""
     proposals, bands = surfaces.proposal.shape[1], surfaces.energy.shape[2]
@@ -141,7 +141,7 @@ def test_weights_stay_bounded_over_many_bounces() -> None:
     assert 1.0 < largest <= (1 + 1e-9) / surfaces.chance[0]
 
 
-@njit
+@kernel(_nrt=True)  # it allocates
 def _largest_weight(surfaces, paths, bounces):  # type: ignore[no-untyped-def]
     proposals, bands = surfaces.proposal.shape[1], surfaces.energy.shape[2]
     state, largest = mix64(np.uint64(10)), 0.0

@@ -11,13 +11,14 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numba import njit
+
+from soundspaces_sim.core.numerics.kernel import kernel
 
 SPEED = 343.0
 STEP = 0.07  # m: ten points per wave at 500 Hz
 
 
-@njit(fastmath=True)
+@kernel(fastmath=True)
 def _advance(p, before, at, open_):  # type: ignore[no-untyped-def]
     """Put the next pressure into `before`, from those of two instants."""
     for i in range(1, p.shape[0] - 1):
@@ -32,7 +33,7 @@ def _advance(p, before, at, open_):  # type: ignore[no-untyped-def]
                 before[i, j, k] = 2.0 * here - before[i, j, k] + flow / 3.0
 
 
-@njit(fastmath=True)
+@kernel(fastmath=True)
 def _advance_past(p, before, solid):  # type: ignore[no-untyped-def]
     """`_advance` past bodies: cells that are `solid`."""
     for i in range(1, p.shape[0] - 1):
