@@ -51,11 +51,15 @@ def module_of(path: str) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
+@cache
+def _tests() -> list[Path]:
+    return sorted([*ROOT.glob("tests/**/test_*.py"), *ROOT.glob("neighbours/**/test_*.py")])
+
+
 def files_for(paths: list[str]) -> list[str]:
     """Test files for changed files."""
-    tests = sorted([*ROOT.glob("tests/**/test_*.py"), *ROOT.glob("neighbours/**/test_*.py")])
     modules = {module_of(p) for p in paths if p.endswith(".py")}
-    found = {str(t.relative_to(ROOT)) for t in tests if modules & imported(t)}
+    found = {str(t.relative_to(ROOT)) for t in _tests() if modules & imported(t)}
     found |= {p for p in paths if Path(p).name.startswith("test_") and (ROOT / p).is_file()}
     if any(p.endswith(".md") for p in paths):
         found |= set(_PAGES)

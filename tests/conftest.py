@@ -50,11 +50,12 @@ def own_cores() -> None:
 
 @pytest.fixture
 def no_t30(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`inspect` without its simulation, for tests of what else it says."""
+    """`inspect` without its simulation, and with few rays to measure by, for tests of what else it says."""
     none = np.full(4, np.nan)
     monkeypatch.setattr(
         "soundspaces_sim.build.inspect.simulated_t30", lambda _scene, _grid: (none, none, 0, ())
     )
+    monkeypatch.setattr("soundspaces_sim.build.inspect._RAYS", 50)
 
 
 @pytest.fixture(scope="session")

@@ -22,6 +22,7 @@ from soundspaces_sim.core.numerics.kernel import thread_count
 from soundspaces_sim.core.registry import Entry
 from tests.conftest import small_job
 from tests.marks import ci_slow
+from tests.rooms import plain
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
@@ -207,9 +208,7 @@ def test_a_dataset_is_built_of_what_load_scene_takes(tmp_path: Path) -> None:
     """As `simulate` takes it: by name; what is no scene is refused in our words."""
     points = np.array([[2.0, 2.0, 1.5], [3.0, 2.0, 1.5]])
     config = ss.JobConfig(
-        simulation=ss.SimulationConfig(
-            walks=16, connections=ss.ConnectionsConfig(subpaths=2), duration=0.05
-        )
+        simulation=plain(walks=16, connections={"subpaths": 2}, duration=0.05, radiance_transfer=False)
     )
     result = ss.build_dataset("demo", tmp_path, config, points=points)
     assert result.folder == tmp_path / "demo" and len(result.manifest.points) == 2

@@ -61,6 +61,7 @@ def lattice_dataset(
             walks=walks,
             connections=ss.ConnectionsConfig(subpaths=8),
             duration=0.5,
+            radiance_transfer=ss.RadianceTransferConfig(enabled=False),  # the dearest of all for so few
             reflection="random",  # by angle single subpaths of so few are louder than the direct sound
         ),
         dataset=type(ss.JobConfig().dataset)(rate=rate),

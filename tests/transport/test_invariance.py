@@ -23,7 +23,7 @@ POINTS = np.array(
         [7.9, 3.9, 0.1],
     ]
 )
-CONFIG = plain(walks=200, duration=0.2, diffraction=True, denoise=True, materials=True)
+CONFIG = plain(walks=64, duration=0.2, diffraction=True, denoise=True, materials=True)
 
 
 @pytest.fixture(scope="module")

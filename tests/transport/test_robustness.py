@@ -49,7 +49,7 @@ def test_energy_of_a_lossless_room_is_the_emitted_energy(scattering: float) -> N
     """Without losses the mean energy density is 1 J / V for ever: fluence c t / V, whatever scatters."""
     size = (4.0, 3.2, 2.2)
     scene, ends = box(size, table(0.0, scattering)), ([[1.0, 1.0, 1.2]], [[3.0, 2.2, 1.5]])
-    config = plain(walks=800, duration=0.3, max_bounces=1000)
+    config = plain(walks=400, duration=0.3, max_bounces=1000)
     late = repeat(lambda seed: ss.simulate(scene, *ends, config, seed)[0, 0].histogram(0.1)[0, 1:3], 8)
     assert_mean(late, 343.0 * 0.1 / np.prod(size), "lossless", relative=0.03)
 
