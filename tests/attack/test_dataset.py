@@ -21,7 +21,7 @@ from soundspaces_sim.dataset.format.manifest import read_manifest, rebuild_comma
 from soundspaces_sim.dataset.format.verify import verify_dataset
 from tests.attack.old_layout import GOLDEN, old_layout
 from tests.attack.victims import resigned
-from tests.marks import ci_slow
+from tests.marks import ci_slow, few
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -194,7 +194,7 @@ IMPOSSIBLE: dict[str, list[float]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", IMPOSSIBLE)
+@pytest.mark.parametrize("name", few(IMPOSSIBLE, "energy_peak", "early_start", "status", "geodesic"))
 def test_values_that_cannot_be(folder: Path, name: str) -> None:
     whole = _shard(folder).read_bytes()
     for value in IMPOSSIBLE[name]:
@@ -206,9 +206,10 @@ def test_values_that_cannot_be(folder: Path, name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("speed_of_sound", 0.0), ("speed_of_sound", "fast"), ("energy_step_db", np.nan), ("key", 3),
-     ("schema_version", "two"), ("schema_version", -1), ("format", b"\xff\xfe"), ("seed", [1, 2]),
-     ("axes", "left-handed"), ("key", "0" * 64)],
+    few([("speed_of_sound", 0.0), ("speed_of_sound", "fast"), ("energy_step_db", np.nan), ("key", 3),
+         ("schema_version", "two"), ("schema_version", -1), ("format", b"\xff\xfe"), ("seed", [1, 2]),
+         ("axes", "left-handed"), ("key", "0" * 64)],
+        ("speed_of_sound", 0.0), ("schema_version", "two"), ("key", "0" * 64)),
 )  # fmt: skip
 def test_attributes_that_cannot_be(folder: Path, name: str, value: object) -> None:
     with h5py.File(_shard(folder), "r+") as file:

@@ -32,7 +32,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.simulate import simulate_rays
 from tests.build.test_engines import hashes
 from tests.conftest import small_job
-from tests.marks import ci_slow
+from tests.marks import ci_slow, few
 from tests.rooms import box, table
 
 
@@ -219,16 +219,22 @@ def test_a_forecast_is_what_the_job_then_takes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "told_of", "measured"),
-    [
-        (0.0, [2, 2, 4, 8], (4, 8)),
-        (3.0, [2, 2, 4, 8], (4, 8)),
-        (4.5, [2, 2, 4, 8], (4, 8)),
+    few(
+        [
+            (0.0, [2, 2, 4, 8], (4, 8)),
+            (3.0, [2, 2, 4, 8], (4, 8)),
+            (4.5, [2, 2, 4, 8], (4, 8)),
+            (4.99, [2, 2, 4, 8], (4, 8)),
+            (10.1, [2, 2], (2,)),
+            (19.9, [2, 2], (2,)),
+            (20.1, [2], (2,)),
+            (40.0, [2], (2,)),
+        ],
         (4.99, [2, 2, 4, 8], (4, 8)),
         (10.1, [2, 2], (2,)),
         (19.9, [2, 2], (2,)),
         (20.1, [2], (2,)),
-        (40.0, [2], (2,)),
-    ],
+    ),
 )
 def test_what_is_measured_is_bounded(
     tmp_path: Path, seconds: float, told_of: list[int], measured: tuple[int, ...],
@@ -258,7 +264,8 @@ def test_what_is_measured_is_bounded(
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 @pytest.mark.parametrize(
-    ("fixed", "point", "pair"), [(40.0, 0.5, 0.0), (0.0, 3.0, 0.1), (1.0, 1.0, 0.01)]
+    ("fixed", "point", "pair"),
+    few([(40.0, 0.5, 0.0), (0.0, 3.0, 0.1), (1.0, 1.0, 0.01)], (40.0, 0.5, 0.0), (0.0, 3.0, 0.1)),
 )
 def test_what_a_tile_takes_lies_between_the_bounds(
     tmp_path: Path, fixed: float, point: float, pair: float, share: float

@@ -11,6 +11,7 @@ import pytest
 
 import soundspaces_sim
 from soundspaces_sim.core.processes import isolated_children
+from tests.marks import few
 
 _NAMES = (
     "struct",
@@ -40,7 +41,7 @@ with worker_pool(2) as pool:
 }
 
 
-@pytest.mark.parametrize("kind", CHILDREN)
+@pytest.mark.parametrize("kind", few(CHILDREN, "processes of a job, of rooms and of agents"))
 def test_a_stranger_s_module_is_not_run(kind: str, tmp_path: Path) -> None:
     check_isolated(CHILDREN[kind], tmp_path)
 

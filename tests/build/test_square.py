@@ -18,6 +18,7 @@ from soundspaces_sim.build.worker import work_here
 from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.dataset.format.manifest import Manifest
 from soundspaces_sim.transport.simulate import simulate_pairs
+from tests.marks import few
 
 SIZE = (6.0, 5.0, 2.7)
 POINTS = np.random.default_rng(0).uniform(0.5, np.array(SIZE) - 0.5, (8, 3))
@@ -91,7 +92,7 @@ def test_all_fit_or_what_the_user_said(draft: Manifest) -> None:
     assert len(squares(JobPlan(told, 2), numbers, 8)) == len(numbers)
 
 
-@pytest.mark.parametrize("materials", [False, True], ids=["plain", "counts"])
+@pytest.mark.parametrize("materials", few([False, True], False), ids=["plain", "counts"])
 def test_bytes_are_those_of_tiles_made_alone(
     scene: ss.Scene, tmp_path: Path, simulated: list[tuple[int, int]], materials: bool
 ) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from soundspaces_sim.build import warm_up
 from soundspaces_sim.transport.techniques import TECHNIQUES
+from tests.marks import ci_slow
 
 # Kernels of the tracer that nothing has called when all shares have been run
 _LEFT = """
@@ -126,6 +127,7 @@ def test_children_tell_when_the_first_round_is_over(monkeypatch: pytest.MonkeyPa
     compiling.stop()
 
 
+@ci_slow  # simulates by all techniques for itself; what is left is compiled later all the same
 def test_no_kernel_is_left(tmp_path: Path) -> None:
     """In a process of its own, where no other test has called one, and without what others have prepared."""
     env = {**os.environ, "SOUNDSPACES_SIM_CACHE": str(tmp_path)}

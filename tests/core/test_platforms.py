@@ -172,6 +172,7 @@ def _library() -> Path:
     return found[0]
 
 
+@ci_slow  # compiles two kernels for itself
 def test_a_library_of_the_system_hits_the_same() -> None:
     """Embree 4 by its file, as where there is no embreex: the same bits for 20,000 rays among random
     triangles."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import pairwise, product
 from math import radians, tan
 
 import numpy as np
@@ -15,6 +15,7 @@ from soundspaces_sim.build.inspect import inspect_scene, report_text
 from soundspaces_sim.layout.floor_plan import make_floorplan
 from soundspaces_sim.layout.navigation_graph import make_graph
 from soundspaces_sim.scene.storeys import find_storeys
+from tests.marks import few
 from tests.rooms import box, table
 
 _WIDE = 8.0
@@ -76,8 +77,15 @@ _RAKES: dict[str, tuple[Profile, Profile]] = {
 }
 
 
-@pytest.mark.parametrize("rake", _RAKES)
-@pytest.mark.parametrize("turn", [0.0, 30.0])
+@pytest.mark.parametrize(
+    ("rake", "turn"),
+    few(
+        product(_RAKES, (0.0, 30.0)),
+        ("under a sloped ceiling", 0.0),
+        ("steep", 30.0),
+        ("down to a stage", 0.0),
+    ),
+)
 def test_points_stand_at_their_height_above_a_rake(rake: str, turn: float) -> None:
     profile, ceiling = _RAKES[rake]
     scene = _hall(profile, ceiling, turn=turn)
@@ -108,7 +116,7 @@ def test_points_stand_at_their_height_above_a_rake(rake: str, turn: float) -> No
 
 
 @pytest.mark.parametrize("solid", [True, False])
-@pytest.mark.parametrize(("rise", "depth"), [(0.3, 0.9), (0.45, 0.9), (0.4, 1.2)])
+@pytest.mark.parametrize(("rise", "depth"), few([(0.3, 0.9), (0.45, 0.9), (0.4, 1.2)], (0.45, 0.9)))
 def test_points_stand_on_tiers_that_nobody_can_step_onto(rise: float, depth: float, solid: bool) -> None:
     """Seven tiers of seats, of solids or of sheets above the hall's floor: one point a tread, none above an edge."""
     start, count = 2.0, 7
@@ -178,7 +186,7 @@ def test_points_on_a_stage_stand_on_it(steps: bool) -> None:
     assert np.isfinite(graph.geodesic[np.flatnonzero(on)[0], np.flatnonzero(beside)[0]]) == steps
 
 
-@pytest.mark.parametrize("rake", [0.0, 10.0])
+@pytest.mark.parametrize("rake", few([0.0, 10.0], 10.0))
 def test_a_balcony_reached_by_stairs_has_its_points_and_no_others(rake: float) -> None:
     """A balcony over the last 4 of 12 m, 3 m up, level or raked, at the end of stairs along a side wall."""
     rise = 3.0 / 17

@@ -12,7 +12,7 @@ from soundspaces_sim.nav.evaluate import Interval, Result, _dtype, _interval
 from soundspaces_sim.nav.metrics import Metrics, episode_metrics
 from soundspaces_sim.nav.navigation_graph import FORWARD, LEFT, RIGHT, STOP
 from soundspaces_sim.nav.task import TaskOptions
-from tests.marks import CI_SLOW
+from tests.marks import few
 from tests.nav.conftest import T_CORRIDOR
 
 F, L, R, S = FORWARD, LEFT, RIGHT, STOP
@@ -106,9 +106,7 @@ def test_intervals_that_hold_for_many_comparisons_together() -> None:
     assert abs(share - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / 4000)
 
 
-@pytest.mark.parametrize(
-    ("scenes", "seeds"), [(4, 1), (4, 3), *(pytest.param(*n, marks=CI_SLOW) for n in ((8, 3), (16, 3)))]
-)
+@pytest.mark.parametrize(("scenes", "seeds"), few([(4, 1), (4, 3), (8, 3), (16, 3)], (4, 1)))
 def test_intervals_over_few_homes_cover_what_they_say(scenes: int, seeds: int) -> None:
     """Homes, seeds and episodes vary about a known mean: 95 % of intervals hold it. Their sum of variances counts
     single episodes twice, so that more than 95 % may; the most is bounded, too, for an endless interval covers all."""

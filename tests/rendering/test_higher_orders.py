@@ -12,6 +12,7 @@ from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.rendering.harmonics import harmonics_n3d, n3d_gains
 from soundspaces_sim.rendering.higher_orders import WAVES, higher_order_rir
 from soundspaces_sim.rendering.waves import lattice
+from tests.marks import ci_slow
 from tests.rendering.test_waves import BANDS, DIFFUSE, RATE, tail
 from tests.stats import assert_mean
 
@@ -65,6 +66,7 @@ def test_an_arrival_has_the_harmonics_of_its_direction(order: int) -> None:
     np.testing.assert_allclose(got[:9], ambisonic_rir(sound, RATE, 0), atol=2e-6)
 
 
+@ci_slow
 def test_a_diffuse_field_has_channels_of_equal_energy_with_nothing_in_common() -> None:
     """N3D covariance of order 7: the identity, to the lattice's 1 % and the noise of 6 draws of 8,000 samples."""
     runs = 6

@@ -1,6 +1,6 @@
 """Echogram to ambisonics to two ears."""
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from soundspaces_sim.rendering.seed_paper import paper_rir
 from soundspaces_sim.rendering.soundfield import rotate
 from soundspaces_sim.transport.tables import harmonics
 from tests.conftest import energy
+from tests.marks import few
 from tests.rooms import box, plain, table
 from tests.stats import z_scores
 
@@ -112,8 +113,10 @@ def test_no_arrival_rings_before_its_time(rate: int) -> None:
         assert 10 * np.log10(power[use].mean() / energies[b]) == pytest.approx(0.0, abs=0.5)
 
 
-@pytest.mark.parametrize("rate", [16000, 44100])
-@pytest.mark.parametrize("band", range(4))
+@pytest.mark.parametrize(
+    ("rate", "band"),
+    few(product((16000, 44100), range(4)), (16000, 0), (16000, 3), (44100, 1)),
+)
 def test_a_lone_arrival_stays_in_its_band(rate: int, band: int) -> None:
     """Leak at most -20 dB, as a discrete arrival and as the energy of one 1 ms bin (mean of 100 seeds)."""
     one = np.eye(4)[band]

@@ -9,6 +9,7 @@ from soundspaces_sim.echogram.echogram import Arrivals, Echogram
 from soundspaces_sim.rendering.harmonics import harmonics_n3d
 from soundspaces_sim.rendering.soundfield import convert
 from soundspaces_sim.rendering.waves import WAVES, WaveField, lattice, shares
+from tests.marks import few
 from tests.stats import assert_mean
 
 BANDS, RATE = SimulationConfig().bands, 40000  # Nyquist is the highest edge: nothing is cut off
@@ -28,7 +29,7 @@ N = 16000  # 0.4 s: 0.1 s around the energy, so that no filter's ringing is cut 
 DIFFUSE = np.eye(9)[0]
 
 
-@pytest.mark.parametrize("waves", [1, WAVES])
+@pytest.mark.parametrize("waves", few([1, WAVES], 1))
 def test_energy_is_that_of_the_echogram(waves: int) -> None:
     def run(seed: int) -> float:
         field = WaveField(tail(DIFFUSE), N, RATE, seed, waves)

@@ -22,7 +22,7 @@ from soundspaces_sim.scene.labels import load_labels, material_of
 from soundspaces_sim.scene.load import decimate_mesh
 from soundspaces_sim.scene.materials import load_materials
 from tests import iso9613
-from tests.marks import CI_SLOW, ci_slow
+from tests.marks import CI_SLOW, ci_slow, few
 from tests.rooms import box, table
 
 # A room of 4 x 3 x 2.5 m as quads, without a ceiling if told so.
@@ -144,9 +144,12 @@ def test_any_mesh(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor"), [("mm", 1000.0), ("in", 1 / 0.0254), ("cm", 100.0), ("m", 1.0)]
-)
-@pytest.mark.parametrize("up", ["y", "z"])
+    ("unit", "factor", "up"),
+    few(
+        [(*u, up) for u in (("mm", 1000.0), ("in", 1 / 0.0254), ("cm", 100.0), ("m", 1.0)) for up in "yz"],
+        ("mm", 1000.0, "y"), ("in", 1 / 0.0254, "z"), ("cm", 100.0, "y"), ("m", 1.0, "z"),
+    ),
+)  # fmt: skip
 def test_units_and_axes_are_found_and_can_be_said(
     tmp_path: Path, unit: str, factor: float, up: str
 ) -> None:

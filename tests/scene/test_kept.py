@@ -16,6 +16,7 @@ from soundspaces_sim.core.io import disk_cache
 from soundspaces_sim.scene import kept, load, scene
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.rays import overlaps
+from tests.marks import CI_SLOW, few
 
 MAKERS = (load, "to_scene_frame"), (kept, "add_ceiling"), (scene, "find_overlaps")
 
@@ -63,7 +64,13 @@ def _same(one: ss.Scene, other: ss.Scene) -> None:
         np.testing.assert_array_equal(first, second)
 
 
-@pytest.mark.parametrize("labels", [("wall", "carpet"), ("wall", "an unknown thing"), ()])
+@pytest.mark.parametrize(
+    "labels",
+    [
+        ("wall", "an unknown thing"),
+        *(pytest.param(labels, marks=CI_SLOW) for labels in (("wall", "carpet"), ())),
+    ],
+)
 def test_a_kept_scene_is_the_same(
     labels: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -96,7 +103,7 @@ def test_other_options_and_meshes_are_others() -> None:
     assert labelled.digest != one.digest
 
 
-@pytest.mark.parametrize("damage", ["cut", "flipped", "another's"])
+@pytest.mark.parametrize("damage", few(["cut", "flipped", "another's"], "flipped"))
 def test_what_is_damaged_is_made_again(
     damage: str, cache: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

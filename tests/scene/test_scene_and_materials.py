@@ -12,6 +12,7 @@ from scipy import ndimage
 import soundspaces_sim as ss
 from soundspaces_sim.scene.labels import load_labels
 from soundspaces_sim.scene.materials import load_materials
+from tests.marks import few
 from tests.rooms import box, table
 
 
@@ -133,9 +134,12 @@ def test_unreadable_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "unit"), [(1.0, "m"), (100.0, "cm"), (1000.0, "mm"), (1 / 0.0254, "in")]
-)
-@pytest.mark.parametrize("up", ["y", "z"])
+    ("scale", "unit", "up"),
+    few(
+        [(*s, up) for s in ((1.0, "m"), (100.0, "cm"), (1000.0, "mm"), (1 / 0.0254, "in")) for up in "yz"],
+        (1.0, "m", "y"), (100.0, "cm", "z"), (1000.0, "mm", "y"), (1 / 0.0254, "in", "z"),
+    ),
+)  # fmt: skip
 def test_axis_and_unit_are_found(tmp_path: Path, scale: float, unit: str, up: str) -> None:
     room = box((6.0, 5.0, 2.7), table(0.1, 0.1))
     v = room.vertices * scale

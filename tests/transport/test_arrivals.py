@@ -12,6 +12,7 @@ from soundspaces_sim.transport.arrivals.field import Spectrum, make_spectrum
 from soundspaces_sim.transport.arrivals.waves import Waves, join, make_waves
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
+from tests.marks import few
 from tests.rooms import edges_alone, table, two_rooms
 from tests.transport.edge_walks import WALKS
 from tests.transport.exact_wedge import SPEED
@@ -125,7 +126,7 @@ def _bits(e: ss.Echogram) -> list[tuple[object, ...]]:
     ]
 
 
-@pytest.mark.parametrize("name", ["rooms", "cupboard"])
+@pytest.mark.parametrize("name", few(["rooms", "cupboard"], "cupboard"))
 def test_any_tile_and_any_threads_have_the_same_bits(name: str) -> None:
     """Six points: all pairs at once, every pair alone, and on one thread and two."""
     if name == "rooms":

@@ -19,6 +19,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 from soundspaces_sim.transport.tile import Walks
+from tests.marks import CI_SLOW, ci_slow
 
 SIZE = (6.0, 5.0, 2.7)
 CONFIG = ss.SimulationConfig(walks=16, duration=0.2)
@@ -70,7 +71,9 @@ def alone(model: Model) -> dict[tuple[int, int], list[Any]]:
     [(MEMORY, False, 7), (0.0, True, 7), (2e6, True, 7), (0.0, False, 3 * 7)],
     ids=["memory", "disk", "both", "nowhere"],
 )
-@pytest.mark.parametrize("order", [TILES, TILES[::-1]], ids=["forth", "back"])
+@pytest.mark.parametrize(
+    "order", [TILES, pytest.param(TILES[::-1], marks=CI_SLOW)], ids=["forth", "back"]
+)
 def test_every_point_is_traced_once_and_bits_stay(
     model: Model,
     alone: dict[tuple[int, int], list[Any]],
@@ -93,6 +96,7 @@ def test_every_point_is_traced_once_and_bits_stay(
             np.testing.assert_array_equal(got.early.energy, expected.early.energy)
 
 
+@ci_slow  # tests/build/test_square.py compares such bytes too
 def test_a_job_keeps_and_a_tile_alone_does_not(tmp_path: Path, traced: list[int]) -> None:
     """The shards of a job have the bytes of tiles that are made from folder and number, one by one."""
     scene = ss.shoebox(SIZE, absorption=0.3, scattering=0.4, name="room")

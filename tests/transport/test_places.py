@@ -10,6 +10,7 @@ import pytest
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import PointError
 from soundspaces_sim.scene.rays.placing import off_faces
+from tests.marks import few
 from tests.rooms import box, plain, table
 
 MATERIAL = table([[0.1] * 4, [0.2] * 4], 0.5)
@@ -53,7 +54,9 @@ def test_points_off_faces_stay_where_they_are() -> None:
     np.testing.assert_array_equal(off_faces(ROOM.geometry, points), points)
 
 
-@pytest.mark.parametrize("place", [[0.0, 2.0, 1.5], [0.0, 0.0, 1.5], [0.0, 0.0, 0.0]])
+@pytest.mark.parametrize(
+    "place", few([[0.0, 2.0, 1.5], [0.0, 0.0, 1.5], [0.0, 0.0, 0.0]], [0.0, 0.0, 0.0])
+)
 def test_a_source_on_walls_is_as_loud_as_one_beside_them(place: list[float]) -> None:
     """Levels of 3,000 subpaths differ by some .1 dB; half of them outside would be 3 dB."""
     beside = np.array(place) + 1e-3

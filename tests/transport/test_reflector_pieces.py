@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
-from tests.marks import ci_slow
+from tests.marks import ci_slow, few
 from tests.rooms import plain, table
 from tests.transport.exact_wedge import SPEED, band_energies, band_wave_numbers
 from tests.transport.test_diffraction import CONFIG
@@ -89,7 +89,7 @@ def test_no_arrival_of_a_generated_building_is_too_loud(name: str) -> None:
     assert_not_loud(scene, points[np.random.default_rng(0).permutation(len(points))[:8]])
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", few(range(6), 0, 3))
 def test_no_arrival_of_a_random_room_is_too_loud(seed: int) -> None:
     """Furniture of one height among other."""
     assert_not_loud(*_furnished(np.random.default_rng(seed)))

@@ -11,7 +11,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
 from soundspaces_sim.transport.arrivals.wedges import Wedges
-from tests.marks import CI_SLOW
+from tests.marks import ci_slow
 from tests.rooms import box, edges_alone, table, two_rooms
 from tests.scans import scan_of
 from tests.transport.test_find_wedges import _cuboid, _in_box, _inside
@@ -35,9 +35,8 @@ def _places(wedges: Wedges, step: float) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize(
-    ("triangles", "noise"), [(60_000, 0.005), pytest.param(250_000, 0.002, marks=CI_SLOW)]
-)
+@pytest.mark.parametrize(("triangles", "noise"), [(60_000, 0.005), (250_000, 0.002)])
+@ci_slow
 def test_a_scanned_block_has_twelve_edges(triangles: int, noise: float) -> None:
     clean = _in_box(*_cuboid([2.0, 2.0, 1.0], [3.0, 2.6, 1.8]))
     scan = scan_of(clean, triangles, noise)

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import soundspaces_sim as ss
-from tests.marks import CI_SLOW
+from tests.marks import ci_slow
 from tests.rooms import plain
 from tests.transport.edge_walks import SPEED
 
@@ -85,7 +85,8 @@ _MOST = {
 }
 
 
-@pytest.mark.parametrize("kind", ["screen", pytest.param("half wall", marks=CI_SLOW)])
+@pytest.mark.parametrize("kind", ["screen", "half wall"])
+@ci_slow  # steps along walks in a plane: tests/transport/test_edge_walks.py
 def test_steps_of_a_few_walks(kind: str) -> None:
     """Two walks beside what the bounds are narrow for."""
     steps = _steps(kind, 3, 2)
