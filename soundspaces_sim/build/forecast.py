@@ -93,7 +93,7 @@ def forecast(
     )
 
 
-ALONE = 0.0125  # of a tile's work, on one core; measured in a house, see docs/profile.md
+ALONE = 0.03  # of a tile's work, on one core: what 16 threads lost by waiting, docs/benchmarks.md
 _GOLDEN = 0.618
 _STRETCHES = 8  # of a tile, in which it works on one core and on many in turn
 
