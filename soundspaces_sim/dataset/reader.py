@@ -25,6 +25,7 @@ from soundspaces_sim import rendering
 from soundspaces_sim.core.config import SimulationConfig, check_rate
 from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees, check_head
+from soundspaces_sim.core.numerics.threads import RENDERERS
 from soundspaces_sim.core.registry import Entry, of_neighbour
 from soundspaces_sim.core.simulation_config import without_constants
 from soundspaces_sim.core.svg import BLUE, GREY, Dots, Layer, Lines, html, svg
@@ -306,8 +307,8 @@ class RirDataset:
         *,
         source: Directivity | str | Sequence[Directivity | str | None] | None = None,
     ) -> tuple[Any, np.ndarray]:
-        """Responses of (k, 2) pairs, made in `workers` threads (one per core): (k, channels, n) float32,
-        padded with zeros, and their lengths (k,). For ``echogram`` a list, and numbers of bins.
+        """Responses of (k, 2) pairs, made in `workers` threads (one per core, at most four): (k, channels, n)
+        float32, padded with zeros, and their lengths (k,). For ``echogram`` a list, and numbers of bins.
 
         `headings_deg`: one, or (k,). `source`: one directivity, or k.
         """
@@ -327,7 +328,7 @@ class RirDataset:
                 return self.monaural(s, l, rate, source=emit[k])
             return self.binaural(s, l, float(turns[k]), rate, source=emit[k])
 
-        with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, RENDERERS)) as pool:
             found = list(pool.map(one, range(len(rows))))
         if kind == "echogram":
             return found, np.array([len(e.energy) for e in found])

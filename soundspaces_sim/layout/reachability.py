@@ -37,7 +37,8 @@ _SAMPLES = 64
 _PARTS = 0.2  # m by which parts of a solid may stick out
 _SKIN = 0.15  # m within which faces belong to a solid's shell
 _FACING = 0.6  # share of a solid's sides before which one can stand
-_MOST_ANGLES = 200_000_000  # solid angles worth computing for one piece
+_MOST_ANGLES = 200_000_000  # solid angles worth computing for one piece, …
+_TOGETHER = 10_000  # … of which so many are computed at once
 
 
 def reachable(scene: Scene, points: np.ndarray, height: float) -> np.ndarray:
@@ -67,15 +68,15 @@ def standing_places(scene: Scene, height: float) -> np.ndarray:
 def winding_numbers(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """(N,) how often triangles (F, 3, 3) wind around points (N, 3): 1 in a closed surface whose normals point
     outward, 0 outside (solid angles; van Oosterom and Strackee 1983)."""
-    out = np.empty(len(points))
-    for i, point in enumerate(points):
-        a, b, c = np.moveaxis(corners - point, 1, 0)
-        la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-        volume = (a * np.cross(b, c)).sum(axis=1)
-        rest = (
-            la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
-        )
-        out[i] = np.arctan2(volume, rest).sum() / (2.0 * np.pi)
+    out, together = np.empty(len(points)), max(_TOGETHER // len(corners), 1)
+    for first in range(0, len(points), together):
+        some = slice(first, first + together)
+        a, b, c = np.moveaxis(corners - points[some, None, None], 2, 0)  # (n, F, 3) each
+        la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
+        ab, bc, ca = ((x * y).sum(axis=2) for x, y in ((a, b), (b, c), (c, a)))
+        volume = (a * np.cross(b, c)).sum(axis=2)
+        angle = np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
+        out[some] = angle.sum(axis=1) / (2.0 * np.pi)
     return out
 
 

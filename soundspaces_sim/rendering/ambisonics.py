@@ -34,6 +34,7 @@ from soundspaces_sim.core.config import check_rate
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.axes import CHANNELS, spherical_harmonics
 from soundspaces_sim.core.numerics.rng import combine
+from soundspaces_sim.core.numerics.threads import RENDERERS
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import arrival_filters, band_shares, white_noise
 from soundspaces_sim.rendering.air import through_air, without_air
@@ -61,14 +62,15 @@ def ambisonic_rirs(
     seeds: Sequence[int] = (),
     workers: int | None = None,
 ) -> list[np.ndarray]:
-    """`ambisonic_rir` of many echograms, the same samples, in `workers` threads (one per core).
+    """`ambisonic_rir` of many echograms, the same samples, in `workers` threads (one per core, four at
+    most).
 
     `seeds`: one per echogram; by default 0, 1, 2 and so on.
     """
     seeds = seeds or range(len(echograms))
     if len(seeds) != len(echograms):
         raise ConfigError(f"seeds: expected one per echogram ({len(echograms)}), got {len(seeds)}")
-    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+    with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, RENDERERS)) as pool:
         return list(pool.map(lambda e, s: ambisonic_rir(e, rate, s), echograms, seeds))
 
 

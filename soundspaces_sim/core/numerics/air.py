@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -74,7 +75,7 @@ class Air:
         """(…, B) share of the energy in bands between these edges (B + 1, Hz) that is left after paths (…) in m."""
         lengths = np.asarray(lengths_m, float)
         out = np.empty((*lengths.shape, len(bands) - 1))
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        nodes, weights = _gauss_legendre()
         for b in range(len(bands) - 1):
             cuts = _octaves(bands[b], bands[b + 1])
             left = np.zeros(lengths.shape)
@@ -84,6 +85,11 @@ class Air:
                 left += mean * (high - low) / (bands[b + 1] - bands[b])
             out[..., b] = left
         return out
+
+
+@cache
+def _gauss_legendre() -> tuple[np.ndarray, np.ndarray]:
+    return np.polynomial.legendre.leggauss(_NODES)
 
 
 def _octaves(low: float, high: float) -> np.ndarray:

@@ -16,6 +16,10 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
+RENDERERS = (
+    4  # threads that render: much of a response is Python's own work, and more would wait for its lock
+)
+
 
 class _Call:
     """Pieces of work, taken in order, for which at most `most` threads work."""
