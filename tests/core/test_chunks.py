@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from soundspaces_sim.core.io.chunks import FILTERS, put_chunks
+from soundspaces_sim.core.io.chunks import FILTERS, put_chunks, put_whole
 from soundspaces_sim.core.io.hdf5 import create_hdf5
 from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
 
@@ -19,42 +19,46 @@ SHAPES = [
 ]
 
 
-def _written(value: np.ndarray, threads: int) -> bytes:
+def _written(value: np.ndarray, threads: int, whole: bool = False) -> bytes:
     before = thread_count()
     set_thread_count(threads)
     try:
-        return _content(value)
+        return _content(value, whole)
     finally:
         set_thread_count(before)
 
 
-def _content(value: np.ndarray) -> bytes:
+def _content(value: np.ndarray, whole: bool = False) -> bytes:
     content = io.BytesIO()
     with create_hdf5(content) as file:
-        put_chunks(file, "values", value, 2)
+        if whole:
+            put_whole(file, {"values": value, "others": value[0]})
+        else:
+            put_chunks(file, "values", value, 2)
     return content.getvalue()
 
 
 @pytest.mark.parametrize(("shape", "kind"), SHAPES)
 @pytest.mark.parametrize("steps", [1, 3, 300])
+@pytest.mark.parametrize("whole", [False, True])
 def test_hdf5_reads_them_and_would_write_the_same(
-    shape: tuple[int, ...], kind: type, steps: int
+    shape: tuple[int, ...], kind: type, steps: int, whole: bool
 ) -> None:
     """The library checks each chunk's checksum when it reads; its own chunks have the same bytes where its deflate
     is that of Python, and unpack to the same where it is not."""
     random = np.random.default_rng(steps)
     value: np.ndarray = random.integers(0, steps, shape).astype(kind)
-    with h5py.File(io.BytesIO(_written(value, 1))) as file:
+    with h5py.File(io.BytesIO(_written(value, 1, whole))) as file:
         found = file["values"]
         np.testing.assert_array_equal(found[:], value)
-        assert found.dtype == value.dtype and found.chunks == (1, 1, *shape[2:])
+        assert found.dtype == value.dtype and found.chunks == (shape if whole else (1, 1, *shape[2:]))
         assert (found.compression, found.compression_opts, found.shuffle, found.fletcher32) == (
             "gzip", 4, True, True,
         )  # fmt: skip
         own = io.BytesIO()
         with h5py.File(own, "w") as other:
             other.create_dataset("values", data=value, chunks=found.chunks, **FILTERS)
-            for place in np.ndindex(shape[:2]):
+            for place in np.ndindex((1, 1) if whole else shape[:2]):
                 at = (*place, *[0] * (len(shape) - 2))
                 mask, ours = found.id.read_direct_chunk(at)
                 theirs_mask, theirs = other["values"].id.read_direct_chunk(at)

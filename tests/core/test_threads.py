@@ -70,6 +70,37 @@ def test_who_has_done_its_own_share_helps_with_what_is_left() -> None:
 
 
 @pytest.mark.usefixtures("four_threads")
+def test_what_a_call_shares_out_alone_its_thread_does() -> None:
+    """And the caller's own calls are shared out again afterwards."""
+
+    def idents() -> set[int]:
+        found: set[int] = set()
+
+        def rows(*_: int) -> None:
+            found.add(threading.get_ident())
+            time.sleep(0.005)
+
+        over_rows(rows, 8, chunk=1)
+        return found
+
+    apart, together = at_once(*[idents] * 4, alone=True), at_once(*[idents] * 4)
+    assert all(len(found) == 1 for found in apart) and max(map(len, together)) > 1
+    assert len(idents()) > 1
+
+
+@pytest.mark.usefixtures("four_threads")
+def test_no_piece_has_fewer_rows_than_are_worth_a_thread() -> None:
+    """Each takes Python's lock, for which short ones wait longer than they work: 100 rows in sixteen pieces of 7,
+    unless 11 are the least."""
+    sizes: dict[int, list[int]] = {1: [], 11: [], 60: []}
+    for least, found in sizes.items():
+        over_rows(lambda first, last, to=found: to.append(last - first), 100, least=least)
+        assert sum(found) == 100
+    assert sorted(sizes[1])[1:] == [7] * 14 and sorted(sizes[11])[1:] == [11] * 9
+    assert sizes[60] == [60, 40]  # by one thread
+
+
+@pytest.mark.usefixtures("four_threads")
 def test_calls_within_calls_end() -> None:
     """Three levels of calls from two threads of the caller's own at once: no one waits for itself."""
     done: list[tuple[int, ...]] = []
