@@ -34,9 +34,8 @@ class ChangeableMaterial:
     name: str
     share: float  # of all reflections of diffuse sound in the scene
     absorption: np.ndarray  # in the simulation
-    lowest: (
-        np.ndarray
-    )  # absorption down to which the closure's error stays within bounds, all bands together
+    # absorption down to which the closure's error stays within bounds, all bands together
+    lowest: np.ndarray
     highest: np.ndarray
 
     def __repr__(self) -> str:

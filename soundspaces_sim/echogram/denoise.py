@@ -55,9 +55,8 @@ _LACKING = (
 class Noise(NamedTuple):
     """What is known of the noise of echograms' energies."""
 
-    difference: (
-        np.ndarray
-    )  # (S, L, late bins, b) D, half of what estimates by either end differ by, of any sign
+    # (S, L, late bins, b) D, half of what estimates by either end differ by, of any sign
+    difference: np.ndarray
     error: np.ndarray  # (S, L, W, b) standard errors of energies in windows of time, by batches
     window: np.ndarray  # (bins,) number among W
 

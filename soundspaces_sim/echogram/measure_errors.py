@@ -68,9 +68,8 @@ class _Bins(NamedTuple):
     edges: np.ndarray  # (bins + 1,) s
     width: np.ndarray  # (bins,) s
     middle: np.ndarray  # (bins,) s
-    sums: (
-        np.ndarray
-    )  # (3, bins + 1) of widths, times t and times t², of bins that begin at t, before each
+    # (3, bins + 1) of widths, times t and times t², of bins that begin at t, before each
+    sums: np.ndarray
 
 
 class _Pairs(NamedTuple):
@@ -115,9 +114,8 @@ class _Work(NamedTuple):
     squares: np.ndarray  # (windows, b) of the energies of batches, summed
     more: np.ndarray  # (K - 1, windows, b) by which batches with +1 exceed those with -1
     levels: _Levels
-    found: (
-        np.ndarray
-    )  # (M, b, half-samples + 5): of these, of all, by subpaths of either end, by either onset
+    # (M, b, half-samples + 5): of these, of all, by subpaths of either end, by either onset
+    found: np.ndarray
     value: np.ndarray  # (M, b) by which relative errors are multiplied
     inverse: np.ndarray  # (2, b) of `_forget_few`: by band, and in order
 

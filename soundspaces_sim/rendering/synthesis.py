@@ -18,9 +18,8 @@ class NoiseGains(NamedTuple):
     """Amplitudes of a sample's noises, for nine channels."""
 
     shared: np.ndarray  # (9,) of the noise that all channels share: sqrt(E) S_nm / E
-    first: (
-        np.ndarray
-    )  # (3, 3) lower triangular, of own noises of Y, Z, X: a Cholesky factor of their covariance
+    # (3, 3) lower triangular, of own noises of Y, Z, X: a Cholesky factor of their covariance
+    first: np.ndarray
     second: np.ndarray  # (1,) of the own noise of each channel of order 2
 
 

@@ -22,9 +22,8 @@ class Columns(NamedTuple):
     """The floors of every column of a raster, ascending within a column; k floors in all."""
 
     cells: Cells
-    start: (
-        np.ndarray
-    )  # (nx * ny + 1,) int64: column c has rows start[c] to start[c + 1] of the next three
+    # (nx * ny + 1,) int64: column c has rows start[c] to start[c + 1] of the next three
+    start: np.ndarray
     floor: np.ndarray  # (k,) float32, height, m
     stand: np.ndarray  # (k,) bool: an agent can stand there
     clear: np.ndarray  # (k,) float32, m of free air above; inf under the sky

@@ -32,9 +32,8 @@ _WELD = 5  # decimals of a metre to which corners of one place agree
 class Sides(NamedTuple):
     """Of each face of a scene."""
 
-    outward: (
-        np.ndarray
-    )  # (F,) 1 where the stored normal points out of what the face bounds, -1 where it points in
+    # (F,) 1 where the stored normal points out of what the face bounds, -1 where it points in
+    outward: np.ndarray
     thin: np.ndarray  # (F,) whether it is of a closed thin body
 
 

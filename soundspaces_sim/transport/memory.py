@@ -71,7 +71,10 @@ def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
     below = moment_rows(groups) - BATCHES
     # by batch, within groups of patches, below the batches and across both ends
     by_step = BATCHES + 2 + ways * (below + groups * (groups + 1))
-    of_pair = max(products) + by_step * (len(batch_edges(model)) - 1) * bands
+    windows_m = batch_edges(model)
+    _, _, before, steps = stretch_steps(windows_m)
+    by_thread = max(product_count(int(n), int(first)) for n, first in zip(steps, before, strict=True))
+    of_pair = max(products) + by_step * (len(windows_m) - 1) * bands + threads * by_thread
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair
     )

@@ -65,9 +65,8 @@ class Tables(NamedTuple):
 
     arrive: np.ndarray  # (…, N, bins, 9, b) harmonics of arrival at the detector
     leave: np.ndarray  # (…, N, bins, 9, b) harmonics of the subpath's first direction
-    batches: (
-        np.ndarray
-    )  # (…, N, rows, windows, b), `tile.batch_rows`: by batch, and what `deposit_counts` adds
+    # (…, N, rows, windows, b), `tile.batch_rows`: by batch, and what `deposit_counts` adds
+    batches: np.ndarray
 
 
 # Subpaths

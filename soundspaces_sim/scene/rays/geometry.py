@@ -44,9 +44,8 @@ class Geometry(NamedTuple):
     anchor: np.ndarray  # (F, 3) first vertex of each triangle, m
     normal: np.ndarray  # (F, 3) unit
     material: np.ndarray  # (F, 2) row of Surfaces in front of and behind the stored normal
-    outward: (
-        np.ndarray
-    )  # (F,) int8, 1 where the stored normal points out of an element, -1 in, 0: of none
+    # (F,) int8, 1 where the stored normal points out of an element, -1 in, 0: of none
+    outward: np.ndarray
     plane: np.ndarray  # (F,) row of the planes that mirror early sound, or -1
     epsilon: float  # m, offset of ray origins from the surface they leave
     covers: Covers

@@ -34,9 +34,8 @@ class Hierarchy(NamedTuple):
     """N boxes about F triangles; box 0 is the whole."""
 
     box: np.ndarray  # (N, 6) float32 m: least x, y, z, and greatest
-    link: (
-        np.ndarray
-    )  # (N, 4) int32: parent, first child or triangle, triangles (0: it has children), axis of its split
+    # (N, 4) int32: parent, first child or triangle, triangles (0: it has children), axis of its split
+    link: np.ndarray
     corners: np.ndarray  # (F, 9) m, in the order of leaves
     face: np.ndarray  # (F,) int32 row of the mesh
 

@@ -33,9 +33,8 @@ class Overlaps(NamedTuple):
     below: np.ndarray  # (n,) triangle that does not count
     above: np.ndarray  # (n,) triangle that counts in its place
     area: np.ndarray  # (n,) m², that they share
-    contact: (
-        np.ndarray
-    )  # (n,) of two materials: a body stands on what looks the other way, which nobody hears
+    # (n,) of two materials: a body stands on what looks the other way, which nobody hears
+    contact: np.ndarray
 
 
 def are_pairs(found: Overlaps, faces: int) -> bool:

@@ -57,17 +57,15 @@ class Seen(NamedTuple):
     link_start: np.ndarray  # (n + 1,)
     link: np.ndarray  # (l,) rows of `Links`, from a wedge that the end sees
     link_row: np.ndarray  # (l,) row of that wedge above
-    link_size: (
-        np.ndarray
-    )  # (l,) 1/m, square of (T30) towards the other wedge, times k and what distances make of it
+    # (l,) 1/m, square of (T30) towards the other wedge, times k and what distances make of it
+    link_size: np.ndarray
 
 
 class Sequences(NamedTuple):
     """Planes worth trying from N points: those that rays meet."""
 
-    seen: (
-        np.ndarray
-    )  # (N, P, P + 1): from point i, rays meet plane a alone ([a, P]) or a and then b ([a, b])
+    # (N, P, P + 1): from point i, rays meet plane a alone ([a, P]) or a and then b ([a, b])
+    seen: np.ndarray
     start: np.ndarray  # (N + 1,)
     planes: np.ndarray  # (n, 2) plane, and the second one or -1
 

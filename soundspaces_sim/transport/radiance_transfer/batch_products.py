@@ -18,10 +18,10 @@ import numpy as np
 from soundspaces_sim.core.numerics.kernel import at_once, thread_count
 from soundspaces_sim.transport.radiance_transfer.batch_variance import WindowSteps, moment_rows
 from soundspaces_sim.transport.radiance_transfer.convolution import (
-    MULTIPLICATIONS,
     PLAIN,
     Kind,
     accumulate,
+    least_rows,
     transform,
 )
 from soundspaces_sim.transport.radiance_transfer.time_steps import Stretch
@@ -34,9 +34,8 @@ _TASKS = 4  # … unless a thread would have fewer tasks
 class ByBatch(NamedTuple):
     """Histograms by batch of N points, on the G groups of a chunk."""
 
-    both: (
-        np.ndarray
-    )  # (b, N, moment rows, steps, 2 G): outgoing, then incident, of `patch_histograms.Histograms`
+    # (b, N, moment rows, steps, 2 G): outgoing, then incident, of `patch_histograms.Histograms`
+    both: np.ndarray
     within: np.ndarray  # (b, N, 2, steps, 2 G), of the same
 
     @property
@@ -108,7 +107,7 @@ def add_all_products(windows: WindowSteps, a: ByBatch, b: ByBatch, out: Products
     tasks = [partial(counts, band) for band in range(bands) if out.of_a.shape[1]]
     tasks += [partial(within, band) for band in range(bands)]
     tasks += [partial(batches, band, k) for band in range(bands) for k in range(0, BATCHES, together)]
-    at_once(*tasks, least=-(-MULTIPLICATIONS // (one * together * a.both.shape[-1])), alone=True)
+    at_once(*tasks, least=least_rows(one * together * a.both.shape[-1]), alone=True)
 
 
 def _variance_and_unlike(ends: ByBatch, band: int) -> np.ndarray:

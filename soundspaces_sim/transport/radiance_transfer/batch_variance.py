@@ -84,9 +84,8 @@ class Within(NamedTuple):
     """How patches lie within groups, and steps of histograms within those of batches."""
 
     share: np.ndarray  # (C, b) R of the patch / R of its group
-    rows: (
-        np.ndarray
-    )  # (2, rows, 2): rows of a histogram, from and to, in one by batch; outgoing, incident
+    # (2, rows, 2): rows of a histogram, from and to, in one by batch; outgoing, incident
+    rows: np.ndarray
 
 
 class WindowSteps(NamedTuple):

@@ -19,10 +19,15 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 
-MULTIPLICATIONS = 2**22  # for which it is worth to wake a thread
+_MULTIPLICATIONS = 2**22  # for which it is worth to wake a thread
 _SLAB = 256  # pairs of points that are transformed back together
 _FEW = 8  # columns: fewer are not worth to be turned
 _WIDE = 16  # columns that a processor takes at once, of a few instructions
+
+
+def least_rows(multiplications: int) -> int:
+    """`least` of `over_rows`, of rows with so many multiplications each."""
+    return -(-_MULTIPLICATIONS // multiplications)
 
 
 class Convolution(NamedTuple):
@@ -74,7 +79,7 @@ def transform(convolution: Convolution, histograms: np.ndarray, spectra: np.ndar
         np.matmul(convolution.forward, histograms[first:last], out=out)
 
     of_point = convolution.forward.size * histograms.shape[1] * histograms.shape[3]
-    over_rows(call, len(histograms), least=-(-MULTIPLICATIONS // of_point))
+    over_rows(call, len(histograms), least=least_rows(of_point))
 
 
 class Kind(NamedTuple):
@@ -119,14 +124,14 @@ def accumulate(
 
     over_rows(
         _multiply, len(spectra), left, right, start, kind, spectra,
-        scratch=make_scratch, least=-(-MULTIPLICATIONS // (p * (stop - start) * length)),
+        scratch=make_scratch, least=least_rows(p * (stop - start) * length),
     )  # fmt: skip
     of_point = (stop - start) * convolution.inverse.size
     back = spectra.reshape(products, -1)
     over_rows(
         _transform_back, tables * p, convolution.inverse, back, (start, stop, at), kind, out,
         scratch=lambda: np.empty((len(convolution.inverse) + 3, _SLAB), np.float32),
-        least=-(-MULTIPLICATIONS // of_point),
+        least=least_rows(of_point),
     )  # fmt: skip
 
 

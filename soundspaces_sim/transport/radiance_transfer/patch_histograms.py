@@ -41,12 +41,10 @@ class Histograms(NamedTuple):
     """Of N points, on a chunk of patches."""
 
     energy: np.ndarray  # (b, N, rows, columns)
-    batches: (
-        np.ndarray
-    )  # (b, N, moment rows, steps, groups): all batches with one raised, then rows of counts
-    within: (
-        np.ndarray
-    )  # (b, N, 2, steps, groups): variances of sums over batches; of patches, `_store_within`
+    # (b, N, moment rows, steps, groups): all batches with one raised, then rows of counts
+    batches: np.ndarray
+    # (b, N, 2, steps, groups): variances of sums over batches; of patches, `_store_within`
+    within: np.ndarray
 
 
 class PointHistograms(NamedTuple):

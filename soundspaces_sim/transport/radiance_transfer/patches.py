@@ -31,9 +31,8 @@ class Places(NamedTuple):
     start: np.ndarray  # (C + 1,)
     triangle: np.ndarray  # (n,)
     area: np.ndarray  # (n,) m², without the outline
-    corners: (
-        np.ndarray
-    )  # (n, 3, 3) m, so far within the piece that rays start from it on the right side of walls
+    # (n, 3, 3) m, so far within the piece that rays start from it on the right side of walls
+    corners: np.ndarray
     normal: np.ndarray  # (n, 3) unit, on the side of the patch
     upto: np.ndarray  # (n,) share of the patch's mean strength (ρs dA), summed up to this piece
     ratio: np.ndarray  # (n, b) share of a band's strength over that of the mean
@@ -45,10 +44,9 @@ class Patches(NamedTuple):
     dual: np.ndarray  # (F, 2, 3) 1/m: barycentric (u, v) = dual · (x - anchor)
     splits: np.ndarray  # (F,) pieces per edge
     first: np.ndarray  # (F,) number of a triangle's first piece
-    of_piece: (
-        np.ndarray
-    )  # (pieces, 2) patch in front of and behind the stored normal, -1 for none; -2 - k of a
+    # (pieces, 2) patch in front of and behind the stored normal, -1 for none; -2 - k of a
     # piece whose quarters are pieces k to k + 3
+    of_piece: np.ndarray
     weight: np.ndarray  # (C, b) 1/m², 1 / R; 0 where nothing is scattered
     middle: np.ndarray  # (C, 3) m
     places: Places
