@@ -144,9 +144,7 @@ def _simulated(
         spans = [tile.spans for tile in tiles[some]]
         with stage("encoding"):
             each = (partial(_encoded, job, square, s, there, back) for s in itertools.chain(*spans))
-            encoded = iter(
-                at_once(*each)
-            )  # while one is in HDF5, which is one core's, others have the rest
+            encoded = iter(at_once(*each))  # while one waits for HDF5's lock, others have the cores
         for number, of_tile in zip(square.numbers[some], spans, strict=True):
             yield number, [next(encoded) for _ in of_tile]
 

@@ -69,6 +69,27 @@ def test_who_has_done_its_own_share_helps_with_what_is_left() -> None:
     assert len(idents) == 4
 
 
+def test_who_helps_another_goes_on_when_its_own_call_is_over() -> None:
+    """One helper, who leaves a long call for the second piece of a short one. Until that has ended, the first thread
+    of the short call helps the long one in its place."""
+    board, ended = threads._Board(), dict[str, float]()
+
+    def call(name: str, seconds: list[float]) -> None:
+        work = threads._Call(lambda piece: time.sleep(seconds[piece]), range(len(seconds)), 2)
+        board.share_out(work)
+        ended[name] = time.perf_counter() - begun
+
+    begun = time.perf_counter()
+    calls = ("long", [0.01] * 90), ("short", [0.05, 0.15])
+    both = [threading.Thread(target=call, args=arguments) for arguments in calls]
+    for thread in both:
+        thread.start()
+        time.sleep(0.02)
+    for thread in both:
+        thread.join(60.0)
+    assert board.threads == 1 and ended["short"] < 0.7 * ended["long"]
+
+
 @pytest.mark.usefixtures("four_threads")
 def test_what_a_call_shares_out_alone_its_thread_does() -> None:
     """And the caller's own calls are shared out again afterwards."""

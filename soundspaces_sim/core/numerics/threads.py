@@ -16,9 +16,8 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-RENDERERS = (
-    4  # threads that render: much of a response is Python's own work, and more would wait for its lock
-)
+# Threads that render: much of a response is Python's own work, and more would wait for its lock.
+RENDERERS = 4
 
 
 class _Call:
@@ -64,7 +63,7 @@ class _Board:
                     if call.over:
                         break
                     taken = self._begin(self._next(call))
-                self._work(taken, until_done=taken is call)
+                self._work(taken, call)
         finally:  # whatever has interrupted this thread, no piece is begun any more
             with self.lock:
                 self.calls.remove(call)
@@ -99,8 +98,9 @@ class _Board:
         call.threads += 1
         return call
 
-    def _work(self, call: _Call, until_done: bool = False) -> None:
-        """Take pieces of a call: one, and more until a call that began later has one to take, or `until_done`."""
+    def _work(self, call: _Call, own: _Call | None = None) -> None:
+        """Take pieces of a call: one, and more until a call that began later has one to take, or this thread's
+        `own` call is over. Of its own it takes all that are left."""
         try:
             while call.left:
                 try:
@@ -112,15 +112,15 @@ class _Board:
                 except BaseException as error:  # whoever shared it out raises it
                     call.errors.append((piece, error))
                     call.left.clear()
-                if not until_done and any(c.open for c in self.calls[-1:] if c is not call):
+                later = any(c.open for c in self.calls[-1:] if c is not call)
+                if call is not own and (later or (own is not None and own.over)):
                     break
         finally:
             with self.lock:
-                full = call.threads == call.most
                 call.threads -= 1
                 if call.over:
                     self.ended.notify_all()
-                elif full and call.open:  # this thread may work for another call
+                elif call.open:  # this thread may work for another call
                     self.shared.notify()
 
 
