@@ -62,8 +62,8 @@ def ambisonic_rirs(
     seeds: Sequence[int] = (),
     workers: int | None = None,
 ) -> list[np.ndarray]:
-    """`ambisonic_rir` of many echograms, the same samples, in `workers` threads (one per core, four at
-    most).
+    """`ambisonic_rir` of many echograms, the same samples, in `workers` threads (one per core, at most
+    four).
 
     `seeds`: one per echogram; by default 0, 1, 2 and so on.
     """
