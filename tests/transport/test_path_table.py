@@ -126,7 +126,6 @@ def _tile(same: bool) -> Tile:
 def test_pairs_of_any_number_of_paths(same: bool, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """None, few, and a hundred times more than there is room for at first; by a plain loop in Python."""
     monkeypatch.setattr(loop, "_SLOTS", 2)
-    monkeypatch.setattr(loop, "_FIRST", 3)
     monkeypatch.setattr(loop, "_BLOCK", 4)
     tile = _tile(same)
     count = np.random.default_rng(5).integers(0, 4, (len(POINTS), len(tile.b.ends.points)))

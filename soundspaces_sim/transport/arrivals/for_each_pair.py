@@ -1,17 +1,14 @@
 """The loop over the pairs of a tile, and room in which its kernel stores what it finds.
 
 How many paths a pair has is known once they are found. So a kernel counts all that it finds and stores what there
-is room for (`store`); pairs that have not had enough are done once more with more room. The first block is
-small, as it tells how much others need. A pair's paths depend on the pair alone: blocks, slots and threads
-change nothing.
+is room for (`store`); pairs that have not had enough are done once more with more room. A pair's paths depend on
+the pair alone: blocks, slots and threads change nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,11 +19,8 @@ from soundspaces_sim.transport.model import air_transmission
 from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.tile import Tile
 
-_FIRST, _BLOCK = 32, 1024  # pairs at a time, which bounds the memory
-_FIRST_SLOTS, _SLOTS = (
-    128,
-    16,
-)  # paths of a pair that there is room for in the first block, and at least in others
+_BLOCK = 32  # pairs that one thread does, and packs, at a time
+_SLOTS = 256  # paths of a pair that there is room for at first
 
 
 class PathSlots(NamedTuple):
@@ -101,23 +95,27 @@ def for_each_pair(
     order of pairs, then of finding.
     """
     columns, bands = len(tile.b.ends.points), tile.model.world.air.shape[1]
-    slots, parts, done = _FIRST_SLOTS, [], [np.empty(0, np.int64)]
-    for first, last in pairwise([0, *range(min(_FIRST, len(pairs)), len(pairs), _BLOCK), len(pairs)]):
-        rows, needed = np.arange(first, last), 0
+    parts: list[PathTable] = [PathTable.concatenate([], bands)] * -(-len(pairs) // _BLOCK)
+
+    def call(first: int, last: int) -> None:
+        slots, waves, rows = _SLOTS, room, np.arange(first, last)
+        done, found_rows = [], []
         while len(rows):
             block = np.ascontiguousarray(pairs[rows])
             found = make_slots(len(block), slots, bands)
-            over_rows(kernel, len(block), context, block, found, scratch=partial(scratch, room))
+            kernel(0, len(block), context, block, found, scratch(waves))
             fits = (found.number >= 0) & (found.number <= slots)
-            parts.append(_packed(found, fits, block[:, 0] * columns + block[:, 1]))
-            done.append(np.repeat(rows[fits], found.number[fits]))
-            rows, needed = rows[~fits], max(needed, int(found.number.max()))
-            room = max(room, -int(found.number.min()))
-            if needed > slots:
-                slots = needed + needed // 2  # some more, for other pairs
-        if first == 0:
-            slots = max(_SLOTS, needed + needed // 2)
-    paths = PathTable.concatenate(parts, bands).rows(np.argsort(np.concatenate(done), kind="stable"))
+            done.append(_packed(found, fits, block[:, 0] * columns + block[:, 1]))
+            found_rows.append(np.repeat(rows[fits], found.number[fits]))
+            rows, slots = rows[~fits], max(slots, int(found.number.max()))
+            waves = max(waves, -int(found.number.min()))
+        table = PathTable.concatenate(done, bands)
+        if len(done) > 1:
+            table = table.rows(np.argsort(np.concatenate(found_rows), kind="stable"))
+        parts[first // _BLOCK] = table
+
+    over_rows(call, len(pairs), chunk=_BLOCK)
+    paths = PathTable.concatenate(parts, bands)
     air = air_transmission(tile.model.config, paths.length)
     paths = replace(paths, energy=paths.energy * air)
     return paths.both_directions(tile.distance) if tile.same else paths
