@@ -10,6 +10,7 @@ from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.radiance_transfer.arrival_directions import LISTENERS
 from soundspaces_sim.transport.radiance_transfer.batch_variance import moment_rows
 from soundspaces_sim.transport.radiance_transfer.convolution import product_count
+from soundspaces_sim.transport.radiance_transfer.pair_transfer import bands_at_once
 from soundspaces_sim.transport.radiance_transfer.plan import DIRECTED, batch_edges
 from soundspaces_sim.transport.radiance_transfer.time_steps import coarse_steps, stretch_steps
 from soundspaces_sim.transport.radiance_transfer.transfer_subpaths import CHUNK
@@ -66,7 +67,9 @@ def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
     chunk, directed = min(CHUNK, patches), min(DIRECTED, patches)
     of_listener = CHANNELS * directed * (bands * rows + coarse)
     of_thread = LISTENERS * of_listener + int(steps.sum()) * chunk * bands
-    of_point = chunk * (bands * int(steps.sum()) + max(products)) + directed * bands * (rows + coarse)
+    lanes = bands_at_once(bands, threads)
+    of_point = chunk * (bands * int(steps.sum()) + lanes * max(products))
+    of_point += directed * bands * (rows + coarse)
     fixed = 2.0 * _SINGLE * sum(matrices) + _MAKING * _DOUBLE * max(matrices) / 3.0
     below = moment_rows(groups) - BATCHES
     # by batch, within groups of patches, below the batches and across both ends
@@ -74,7 +77,7 @@ def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
     windows_m = batch_edges(model)
     _, _, before, steps = stretch_steps(windows_m)
     by_thread = max(product_count(int(n), int(first)) for n, first in zip(steps, before, strict=True))
-    of_pair = max(products) + by_step * (len(windows_m) - 1) * bands + threads * by_thread
+    of_pair = lanes * max(products) + by_step * (len(windows_m) - 1) * bands + threads * by_thread
     return TileMemory(
         fixed + _SINGLE * threads * of_thread, point + _SINGLE * of_point, pair + _SINGLE * of_pair
     )

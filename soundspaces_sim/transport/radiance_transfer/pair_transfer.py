@@ -8,11 +8,12 @@ out, so that the remaining pairs are of independent subpaths, as between two poi
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import over_rows, rows_of_thread, thread_count
+from soundspaces_sim.core.numerics.kernel import at_once, over_rows, rows_of_thread, thread_count
 from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.transport.radiance_transfer.batch_products import (
     ByBatch,
@@ -54,10 +55,9 @@ from soundspaces_sim.transport.tile import Walks
 
 ROUNDING = 1e-5  # of the greatest value: what rounding leaves where nothing arrives
 COLUMNS = 160  # points on one side whose products with all of the other are held at once
-_POINTS, _CALLS = (
-    4,
-    4,
-)  # whose histograms are filled in one call, if each of several threads has so many calls
+# Points whose histograms are filled in one call, if each of several threads has so many calls.
+_POINTS, _CALLS = 4, 4
+_THREADS = 4  # that transforms and products of one band keep busy
 
 
 class Endpoints(NamedTuple):
@@ -94,9 +94,10 @@ class _Workspace(NamedTuple):
 
     outgoing: np.ndarray  # (b, P, rows, columns)
     incident: np.ndarray  # (b, Q, rows, columns)
-    outgoing_spectra: np.ndarray  # (R P columns,) of the stretch with the largest R
-    incident_spectra: np.ndarray  # (R Q columns,)
-    products: np.ndarray  # (R P Q,) of as many of the Q as are held at once
+    # of as many bands as are done side by side: `bands_at_once`
+    outgoing_spectra: np.ndarray  # (bands, R P columns) of the stretch with the largest R
+    incident_spectra: np.ndarray  # (bands, R Q columns)
+    products: np.ndarray  # (bands, R P Q) of as many of the Q as are held at once
 
     def turned(self) -> _Workspace:
         """The same memory, for Q outgoing and P incident points."""
@@ -161,14 +162,21 @@ def _make_workspace(plan: TransferPlan, outgoing: int, incident: int) -> _Worksp
     """For so many points of either end."""
     rows = plan.steps.rows
     products = max(len(stretch.convolution.forward) for stretch in plan.stretches)
-    at_once = max(outgoing * min(incident, COLUMNS), incident * min(outgoing, COLUMNS))
+    pairs = max(outgoing * min(incident, COLUMNS), incident * min(outgoing, COLUMNS))
+    lanes = bands_at_once(plan.bands, thread_count())
     return _Workspace(
         np.empty((plan.bands, outgoing, rows, plan.chunk), np.float32),
         np.empty((plan.bands, incident, rows, plan.chunk), np.float32),
-        np.empty(products * outgoing * plan.chunk, np.float32),
-        np.empty(products * incident * plan.chunk, np.float32),
-        np.empty(products * at_once, np.float32),
+        np.empty((lanes, products * outgoing * plan.chunk), np.float32),
+        np.empty((lanes, products * incident * plan.chunk), np.float32),
+        np.empty((lanes, products * pairs), np.float32),
     )
+
+
+def bands_at_once(bands: int, threads: int) -> int:
+    """Of how many bands transforms and products are made side by side: those of one are too short for many threads,
+    which would wait for each other after each."""
+    return max(min(bands, threads // _THREADS), 1)
 
 
 def _add_chunk(
@@ -205,8 +213,13 @@ def _add_chunk(
         arguments = to.reflections, plan.factor, axes, incident
         over_rows(fill_incident, to.points, *arguments, chunk=_together(to.points), scratch=make_scratch)
     _add_directed(plan, chunk, workspace.outgoing, result.directed)
-    for band in range(plan.bands):
-        _add_energy(plan, band, workspace, result.energy[band])
+    lanes = len(workspace.products)
+
+    def bands(lane: int) -> None:
+        for band in range(lane, plan.bands, lanes):
+            _add_energy(plan, band, lane, workspace, result.energy[band])
+
+    at_once(*(partial(bands, lane) for lane in range(lanes)))
 
 
 def _together(points: int) -> int:
@@ -230,13 +243,16 @@ def _add_directed(plan: TransferPlan, chunk: int, outgoing: np.ndarray, directed
     over_rows(call, directed.shape[1], chunk=_POINTS)
 
 
-def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np.ndarray) -> None:
+def _add_energy(
+    plan: TransferPlan, band: int, lane: int, workspace: _Workspace, energy: np.ndarray
+) -> None:
     """Add V ∗ F, summed over the patches of a chunk, to `energy` (P, Q, late bins)."""
+    of_outgoing, of_incident, of_pairs = (table[lane] for table in workspace[2:])
     (p, q), chunk = energy.shape[:2], plan.chunk
     for stretch in plan.stretches:
         convolution, products = stretch.convolution, len(stretch.convolution.forward)
-        outgoing = workspace.outgoing_spectra[: products * p * chunk].reshape(products, 1, p, chunk)
-        incident = workspace.incident_spectra[: products * q * chunk].reshape(products, 1, q, chunk)
+        outgoing = of_outgoing[: products * p * chunk].reshape(products, 1, p, chunk)
+        incident = of_incident[: products * q * chunk].reshape(products, 1, q, chunk)
         with stage("transforms"):
             transform(convolution, workspace.outgoing[band][:, None, stretch.rows], outgoing)
             transform(convolution, workspace.incident[band][:, None, stretch.rows], incident)
@@ -245,7 +261,7 @@ def _add_energy(plan: TransferPlan, band: int, workspace: _Workspace, energy: np
             for start in range(0, q, COLUMNS):
                 columns = slice(start, start + COLUMNS)
                 places = columns, stretch.bins
-                accumulate(convolution, outgoing, incident, workspace.products, energy[None], places)
+                accumulate(convolution, outgoing, incident, of_pairs, energy[None], places)
 
 
 def _subtract_own(plan: TransferPlan, of: Endpoints, to: Endpoints, energy: np.ndarray) -> None:
