@@ -30,6 +30,7 @@ _OF_PAIRS = (
     "smoothing", _ENCODING,
 )  # fmt: skip
 _LEAST, _MOST = 8, 16  # points of the larger of two tiles that are timed; the other has a fourth
+_SHARE = 10  # of a job's points in it, one in so many, but for small jobs
 _BUDGET_S = 20.0
 _PACKED = 0.8  # of int16 noise, after compression
 
@@ -76,13 +77,13 @@ class Cost:
 def estimate(job: Job) -> Estimate:
     """Measure a few pairs of a job, chosen over all its points.
 
-    A tile of more than half of the points is not measured; where that leaves few: nan seconds.
+    The larger tile has at most a tenth of the points, but `_LEAST`; where that is more than half: nan seconds.
     """
     draft = job.plan.draft
     count = len(draft.points)
     left = [n for n, tile in enumerate(job.plan.tiles) if _lacks(job, tile)]
-    most = min(_MOST, count // 2)
-    if most < _LEAST or not left:
+    most = min(_MOST, max(count // _SHARE, _LEAST))
+    if most > count // 2 or not left:
         return Estimate(count, count**2, draft.duration, 0, float("nan"))
     threads = thread_count()
     # Processor time, for the clock on the wall also tells what else the machine does during a short measurement.
