@@ -55,8 +55,7 @@ class Made(NamedTuple):
     """What techniques make of a tile."""
 
     tile: Tile
-    walks: tuple[Walks, Walks]  # of its sides
-    arrived: Arrived
+    arrived: Arrived  # its paths sorted
     sums: Sums
 
 
@@ -82,9 +81,7 @@ def trace_tile(
     kept: KeptTraces | None = None,
 ) -> Traced:
     """What `simulate_tile` smooths. `kept`: of this model, what is traced for several tiles."""
-    made = run_techniques(model, a, b, both_ways, progress, techniques, kept)
-    count(pairs=len(made.tile.pairs))
-    return traced(made, both_ways)
+    return traced(run_techniques(model, a, b, both_ways, progress, techniques, kept), both_ways)
 
 
 @stage("echograms and error bars")
@@ -92,11 +89,8 @@ def traced(made: Made, both_ways: bool) -> Traced:
     """What is in a tile's tables as echograms."""
     tile, sums, arrived = made.tile, made.sums, made.arrived
     model, a, b, distance = tile.model, tile.a.given, tile.b.given, tile.distance
-    early = arrived.paths.sorted()
-    batches = sums.batches[:, :, :BATCHES]
-    error = _relative_error(made, early, batches)
-    check_sums(error, Origin("error bars", a, b, model.config.bands))
-    error = stated(error)
+    count(pairs=len(tile.pairs))
+    early, batches, error = arrived.paths, sums.batches[:, :, :BATCHES], relative_error(made)
     forward = _collect(model, a, b, sums.to_b, arrived.direct, distance, arrived.walls, early, error)
     forward = replace(
         forward,
@@ -150,7 +144,7 @@ def run_techniques(
     if tile.same:  # each pair was closed once: mirror its batches
         lower = np.tri(len(a), k=-1, dtype=bool)
         sums.batches[lower] = sums.batches.transpose(1, 0, 2, 3, 4)[lower]
-    return Made(tile, walks, arrived, sums)
+    return Made(tile, arrived._replace(paths=arrived.paths.sorted()), sums)
 
 
 def arrived_at(tile: Tile, techniques: Sequence[Technique]) -> Arrived:
@@ -310,16 +304,16 @@ def _error_of_windows(batches: np.ndarray) -> np.ndarray:
     return out
 
 
-def _relative_error(made: Made, early: PathTable, batches: np.ndarray) -> np.ndarray:
+def relative_error(made: Made) -> np.ndarray:
     """(S, L, 2, b) relative standard errors of the energy up to `EARLY_S` after the direct sound's time, and
-    later.
+    later; infinite where they rest on too few subpaths to be known.
 
     A window or a bin in which the split lies is shared by duration. Batch sums are each 1/BATCHES of the
     estimate: its variance is that of their sum. Where estimates by subpaths of either end differ by what this
-    cannot explain, half of that is the error: rare subpaths that carry much may be in no batch of one end. It is
-    `_UNKNOWN` where few batches carry the energy.
+    cannot explain, half of that is the error: rare subpaths that carry much may be in no batch of one end.
     """
-    rows, columns, bands = made.tile.shape
+    (rows, columns, bands), tile = made.tile.shape, made.tile
+    early, batches = made.arrived.paths, made.sums.batches[:, :, :BATCHES]
     out = np.empty((rows, columns, 2, bands))
     start = np.searchsorted(early.pair, np.arange(rows + 1) * columns)
 
@@ -330,7 +324,8 @@ def _relative_error(made: Made, early: PathTable, batches: np.ndarray) -> np.nda
             out[i] = _errors_of_point(made, i, *own, batches[i])
 
     over_rows(call, len(out), chunk=1)
-    return out
+    check_sums(out, Origin("error bars", tile.a.given, tile.b.given, tile.model.config.bands))
+    return np.where(out >= _LARGEST_KNOWN, np.inf, out)
 
 
 def _errors_of_point(
@@ -341,7 +336,8 @@ def _errors_of_point(
     path_energy: np.ndarray,
     batches: np.ndarray,
 ) -> np.ndarray:
-    """(L, 2, b) `_relative_error` of source `i`, whose discrete paths are given with the `listener` of each."""
+    """(L, 2, b) `relative_error` of source `i`, `_UNKNOWN` where few batches carry the energy; its discrete
+    paths are given with the `listener` of each."""
     tile, model = made.tile, made.tile.model
     energy, difference = made.sums.to_b[i, :, :, 0], made.sums.difference[i]
     edges, window = model.time_edges, model.world.window_of_bin
@@ -385,11 +381,6 @@ def effective_batches(share: np.ndarray, batches: np.ndarray, reference: np.ndar
     by_number = exact / BATCHES + np.matmul(share, over)
     known = (reference > 0.0) & (by_number > 0.0)
     return np.divide(reference, by_number, out=np.full_like(reference, BATCHES), where=known)
-
-
-def stated(error: np.ndarray) -> np.ndarray:
-    """Relative errors, infinite where they rest on too few subpaths to be known."""
-    return np.where(error >= _LARGEST_KNOWN, np.inf, error)
 
 
 def _collect(

@@ -3,9 +3,9 @@
 Whoever asks for an error does not say how many subpaths that takes. A first round of few tells every pair's
 variance, and so how many more the pair needs; it takes part in the smallest of the later rounds that has as many.
 Their numbers are in steps of two, so a pair is in few of them. Which ones depends on the pair's own results alone,
-so these are the same whatever is simulated beside it. A pair's energies are the mean over its rounds, weighted by
-their subpaths, not by their error bars: these are large where energies came out large, and would draw the
-mean down.
+so these are the same whatever is simulated beside it. A pair's tables are the mean over its rounds, batch by batch,
+weighted by their subpaths, not by their error bars: these are large where energies came out large, and would draw
+the mean down. So its error bars are those of one round of as many subpaths.
 """
 
 from __future__ import annotations
@@ -14,10 +14,7 @@ import numpy as np
 
 from soundspaces_sim.core.simulation_config import DEFAULT_WALKS, SimulationConfig
 from soundspaces_sim.echogram.echogram import Echograms
-from soundspaces_sim.transport.path_table import PathTable
 from soundspaces_sim.transport.tables import BATCHES
-from soundspaces_sim.transport.technique import Technique
-from soundspaces_sim.transport.tile import Arrived, Tile
 
 _FIRST = 192  # subpaths: 5 % in a shoebox of 150 m³; with 128 a second round is more often needed than worth it
 _UNKNOWN_TIMES = 7  # as many more subpaths where the first are too few to know the error
@@ -45,51 +42,19 @@ def _up(walks: int) -> int:
     return -(-walks // BATCHES) * BATCHES  # batches of equal size
 
 
-def takes_part(
-    error: np.ndarray, known: np.ndarray, done: np.ndarray, number: int, config: SimulationConfig
-) -> np.ndarray:
-    """Which pairs take part in a later round. `error`: largest relative error of each so far, where it is `known`;
-    `done`: its subpaths so far."""
+def takes_part(error: np.ndarray, done: np.ndarray, number: int, config: SimulationConfig) -> np.ndarray:
+    """Which pairs take part in a later round. `error`: largest relative error of each so far, infinite where it is
+    not known; `done`: its subpaths so far."""
     sizes, target = round_sizes(config), config.target_error
     assert target is not None
     later = np.array(sizes[number:])
-    needed = np.where(known, done * (np.square(error / target) - 1.0), float(_UNKNOWN_TIMES) * done)
+    times = np.where(np.isfinite(error), np.square(error / target) - 1.0, float(_UNKNOWN_TIMES))
+    needed = times * done
     allowed = later <= (max(config.max_walks, sizes[0]) - done)[..., None]
     enough = allowed & (later >= needed[..., None])
     least, most = np.where(enough, later, np.inf).argmin(-1), np.where(allowed, later, 0).argmax(-1)
     best = np.where(enough.any(-1), least, most)
     return np.asarray(~(error <= target) & allowed[..., 0] & (best == 0))
-
-
-def known_arrivals(first: Echograms, rows: np.ndarray, columns: np.ndarray) -> Technique:
-    """In the place of the technique that finds discrete arrivals, which has found those of these pairs in the first
-    round: what they are at the listener, as error bars need it."""
-    listeners = len(first.listeners)
-    pairs = (rows[:, None] * listeners + columns).ravel()
-    start = first.early_start[pairs]
-    number = first.early_start[pairs + 1] - start
-    before = np.concatenate([[0], np.cumsum(number)[:-1]])
-    at = np.repeat(start - before, number) + np.arange(number.sum())
-    early = first.early
-    table = PathTable(
-        pair=np.repeat(np.arange(len(pairs)), number),
-        length=early.delay[at] * first.speed_of_sound,
-        at_b=early.direction[at],
-        at_a=np.zeros((len(at), 3)),
-        energy=early.energy[at],
-        planes=early.planes[at],
-        kind=early.kind[at],
-        wedges=early.edges[at],
-        groups=early.groups[at],
-    )
-
-    cells = np.ix_(rows, columns)
-    arrived = Arrived(first.direct_energy[cells], first.walls[cells], table)
-
-    def connect(_: Tile) -> Arrived:
-        return arrived
-
-    return Technique("known arrivals", "those of the first round", connect=connect)
 
 
 def statement(echoes: Echograms, config: SimulationConfig) -> str:

@@ -26,15 +26,20 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_ends
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.arrivals.technique import ARRIVALS
-from soundspaces_sim.transport.integrator import Progress, stated, trace_tile
+from soundspaces_sim.transport.integrator import (
+    Made,
+    Progress,
+    relative_error,
+    run_techniques,
+    traced,
+)
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.low_method import LowRuns, low_method
 from soundspaces_sim.transport.memory import tile_memory
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model, of_round
 from soundspaces_sim.transport.radiance_transfer.prepared import late_technique
-from soundspaces_sim.transport.rounds import known_arrivals, round_sizes, statement, takes_part
+from soundspaces_sim.transport.rounds import round_sizes, statement, takes_part
 from soundspaces_sim.transport.smoothing import smoothed
 from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.techniques import TECHNIQUES
@@ -266,62 +271,36 @@ def _simulate_tile(
     are spent, so its result is the same in any tile. Late bins are smoothed at last. `progress` is told of the
     first round.
     """
-    traced = trace_tile(model, a, b, both_ways, progress, kept=kept)
-    if model.config.target_error is None:
-        return smoothed(model, traced)
-    forward, backward, difference = traced.forward, traced.backward, traced.difference
-    of_windows = traced.error
-    sizes = round_sizes(model.asked or model.config)
-    variance = _variance(forward) * sizes[0] ** 2
-    of_measures = np.square(_measure_error(forward)) * sizes[0] ** 2
-    done = np.full(variance.shape[:2], sizes[0])
+    made = run_techniques(model, a, b, both_ways, progress, kept=kept)
+    if model.config.target_error is not None:
+        _add_rounds(made, both_ways)
+    return smoothed(model, traced(made, both_ways))
+
+
+def _add_rounds(made: Made, both_ways: bool) -> None:
+    """Let the sums of a first round be the means over all rounds in which a pair takes part."""
+    tile, sums, model = made.tile, made.sums, made.tile.model
+    config = model.asked or model.config
+    sizes = round_sizes(config)
+    done = np.full(tile.shape[:2], sizes[0])
+    by_subpaths = [technique for technique in TECHNIQUES if technique.connect is None]
     for number, size in list(enumerate(sizes))[1:]:
-        error = np.sqrt(variance.max(axis=(2, 3))) / done
-        wanted = takes_part(error, stated(error) < np.inf, done, number, model.asked or model.config)
+        wanted = takes_part(relative_error(made).max(axis=(2, 3)), done, number, config)
         if not wanted.any():
             continue
         rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
-        known = known_arrivals(forward, rows, rows if b is None else columns)
-        techniques = [known if t.name == ARRIVALS.name else t for t in TECHNIQUES]
-        more = trace_tile(
-            of_round(model, number, size),
-            a[rows],
-            None if b is None else b[columns],
-            both_ways,
-            techniques=techniques,
-        )
+        a, b = tile.a.given[rows], None if tile.same else tile.b.given[columns]
+        of_size = of_round(model, number, size)
+        more = run_techniques(of_size, a, b, both_ways, techniques=by_subpaths).sums
         i, j = np.nonzero(wanted[np.ix_(rows, columns)])
         s, l = rows[i], columns[j]
         done[s, l] += size
         share = size / done[s, l]
-        _average(forward.energy, s, l, more.forward.energy[i, j], share)
-        _average(difference, s, l, more.difference[i, j], share)
-        part = share[:, None, None]
-        of_windows[s, l] = np.hypot((1.0 - part) * of_windows[s, l], part * more.error[i, j])
-        variance[s, l] += _variance(more.forward)[i, j] * size**2
-        of_measures[s, l] += np.square(_measure_error(more.forward)[i, j]) * size**2
-        if backward is not None and more.backward is not None:
-            _average(backward.energy, l, s, more.backward.energy[j, i], share)
-    error = stated(np.sqrt(variance) / done[:, :, None, None]).astype(np.float32)
-    of_measures = (np.sqrt(of_measures) / done[:, :, None, None]).astype(np.float32)
-    forward = replace(forward, relative_error=error, measure_error=of_measures)
-    if backward is not None:
-        backward = replace(
-            backward,
-            relative_error=error.transpose(1, 0, 2, 3),
-            measure_error=of_measures.transpose(1, 0, 2, 3),
-        )
-    return smoothed(model, replace(traced, forward=forward, backward=backward))
-
-
-def _variance(echoes: Echograms) -> np.ndarray:
-    """(S, L, 2, b) relative variances; 1, what energy of a single batch has, where they are not known."""
-    return np.asarray(np.nan_to_num(echoes.relative_error.astype(float), posinf=1.0) ** 2)
-
-
-def _measure_error(echoes: Echograms) -> np.ndarray:
-    assert echoes.measure_error is not None  # of all that is traced
-    return echoes.measure_error.astype(float)
+        _average(sums.to_b, s, l, more.to_b[i, j], share)
+        _average(sums.batches, s, l, more.batches[i, j], share)
+        _average(sums.difference, s, l, more.difference[i, j], share)
+        if not tile.same and sums.to_a.shape[2]:
+            _average(sums.to_a, l, s, more.to_a[j, i], share)
 
 
 def _average(

@@ -21,10 +21,8 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.measure_errors import measure_values
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.scene.load import load_scene
-from soundspaces_sim.transport.arrivals.technique import ARRIVALS
-from soundspaces_sim.transport.integrator import trace_tile
+from soundspaces_sim.transport.integrator import run_techniques, traced
 from soundspaces_sim.transport.model import EARLY_S
-from soundspaces_sim.transport.rounds import known_arrivals
 from soundspaces_sim.transport.simulate import model_between
 from soundspaces_sim.transport.smoothing import smoothed
 from soundspaces_sim.transport.techniques import TECHNIQUES
@@ -43,18 +41,19 @@ def _runs(name: str, walks: int, seeds: int, subpaths: _Kind) -> Iterator[Echogr
     config = ss.SimulationConfig(
         walks=walks, radiance_transfer=ss.RadianceTransferConfig(subpaths=subpaths)
     )
-    model, techniques = model_between(scene, a, b, config, 0), list(TECHNIQUES)
+    model, techniques, arrived = model_between(scene, a, b, config, 0), TECHNIQUES, None
     for seed in range(seeds):
         of_seed = replace(model, seed=seed) if seed else model
         try:
-            echoes = smoothed(of_seed, trace_tile(of_seed, a, b, False, techniques=techniques))[0]
+            made = run_techniques(of_seed, a, b, False, techniques=techniques)
         except (
             ConfigError
         ):  # `own` refuses a seed whose late energies would drown others: no value, no error
             continue
-        if techniques[0] is ARRIVALS:
-            techniques[0] = known_arrivals(echoes, np.arange(1), np.arange(LISTENERS))
-        yield echoes
+        if arrived is None:
+            arrived = made.arrived
+            techniques = tuple(t for t in TECHNIQUES if t.connect is None)
+        yield smoothed(of_seed, traced(made._replace(arrived=arrived), False))[0]
 
 
 def _values(echoes: Echograms) -> tuple[np.ndarray, np.ndarray]:
