@@ -325,7 +325,7 @@ def relative_error(made: Made) -> np.ndarray:
 
     over_rows(call, len(out), chunk=1)
     check_sums(out, Origin("error bars", tile.a.given, tile.b.given, tile.model.config.bands))
-    return np.where(out >= _LARGEST_KNOWN, np.inf, out)
+    return stated(out)
 
 
 def _errors_of_point(
@@ -381,6 +381,11 @@ def effective_batches(share: np.ndarray, batches: np.ndarray, reference: np.ndar
     by_number = exact / BATCHES + np.matmul(share, over)
     known = (reference > 0.0) & (by_number > 0.0)
     return np.divide(reference, by_number, out=np.full_like(reference, BATCHES), where=known)
+
+
+def stated(error: np.ndarray) -> np.ndarray:
+    """Relative errors, infinite where they rest on too few subpaths to be known."""
+    return np.where(error >= _LARGEST_KNOWN, np.inf, error)
 
 
 def _collect(

@@ -25,6 +25,7 @@ from soundspaces_sim.transport.integrator import run_techniques, traced
 from soundspaces_sim.transport.model import EARLY_S
 from soundspaces_sim.transport.simulate import model_between
 from soundspaces_sim.transport.smoothing import smoothed
+from soundspaces_sim.transport.technique import Technique
 from soundspaces_sim.transport.techniques import TECHNIQUES
 
 _Kind = Literal["shared", "own", "auto"]
@@ -41,7 +42,8 @@ def _runs(name: str, walks: int, seeds: int, subpaths: _Kind) -> Iterator[Echogr
     config = ss.SimulationConfig(
         walks=walks, radiance_transfer=ss.RadianceTransferConfig(subpaths=subpaths)
     )
-    model, techniques, arrived = model_between(scene, a, b, config, 0), TECHNIQUES, None
+    model, arrived = model_between(scene, a, b, config, 0), None
+    techniques: tuple[Technique, ...] = TECHNIQUES
     for seed in range(seeds):
         of_seed = replace(model, seed=seed) if seed else model
         try:
