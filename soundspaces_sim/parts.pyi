@@ -348,6 +348,7 @@ from .transport.low_method import installed as installed_low_method
 from .transport.model import Model, PreparedScene, air_transmission
 from .transport.preparation import at_points, prepare_scene
 from .transport.simulate import as_points, model_between, simulate_between, simulate_pairs, with_notes
+from .transport.tables import harmonics as harmonics_of_direction
 from .transport.techniques import TECHNIQUES
 
 __all__ = [
@@ -593,6 +594,7 @@ __all__ = [
     "group_planes",
     "habitat_graph",
     "harmonics_n3d",
+    "harmonics_of_direction",
     "harmonics_sn3d",
     "head_matrix",
     "heading_index",

@@ -73,17 +73,20 @@ class Surroundings(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """Room for n paths as they reach a listener."""
+    """Room for n paths that reach a listener."""
 
-    ok: np.ndarray  # (n,) whether it does
+    row: np.ndarray  # (n,) of the paths that were moved
+    name: np.ndarray  # (n, 5)
+    gain: np.ndarray  # (n,) amplitude relative to that at the point
     length: np.ndarray  # (n,) m
     direction: np.ndarray  # (n, 3) unit, from the listener
-    scale: np.ndarray  # (n,) m
+    further: np.ndarray  # (n,) m, than at the point: so much more air
 
 
 def make_moved(n: int) -> Moved:
     """Room for n paths."""
-    return Moved(np.zeros(n, np.bool_), np.empty(n), np.zeros((n, 3)), np.empty(n))
+    whole = np.zeros(n, np.int64), np.zeros((n, 5), np.int64)
+    return Moved(*whole, np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n))
 
 
 def paths_of(
@@ -215,15 +218,35 @@ def _over(around: Surroundings, a: int, image: Vec3, here: Vec3, x: Vec3) -> tup
     return triangle >= 0, lifted, at
 
 
+@part
+def _is_named(names: np.ndarray, count: int, own: np.ndarray, i: int) -> bool:
+    """Whether one of the first `count` of `names` (n, 5) is that of row `i` of `own` (k, 5)."""
+    for k in range(count):
+        same = True
+        for j in range(5):
+            same = same and names[k, j] == own[i, j]
+        if same:
+            return True
+    return False
+
+
 @kernel
 def move_paths(
-    around: Surroundings, paths: Paths, source: np.ndarray, listener: np.ndarray, out: Moved
-) -> bool:
-    """Fill `out` with paths from `source` (3,) as they reach `listener` (3,), from the scene's centre; whether one
-    sees the other."""
+    around: Surroundings,
+    paths: Paths,
+    source: np.ndarray,
+    listener: np.ndarray,
+    out: Moved,
+    count: int,
+) -> int:
+    """Add to the first `count` of `out` those paths from `source` (3,) that reach `listener` (3,), from the scene's
+    centre, and whose names are not there yet. How many there are then."""
     s, p = (source[0], source[1], source[2]), (listener[0], listener[1], listener[2])
     in_sight = unoccluded(around.geometry, s, p)
+    before = count
     for i in range(len(paths.kind)):
+        if _is_named(out.name, before, paths.name, i):
+            continue
         kind = paths.kind[i]
         mirrors = paths.mirrors[i, 0], paths.mirrors[i, 1]
         target, rest = row(paths.target, i), paths.rest[i]
@@ -251,11 +274,16 @@ def move_paths(
                 # Out of sight it is the sound that comes round an edge, in sight what a reflector's edge adds.
                 rest = distance(s, target)
                 ok = ok and in_sight == paths.in_sight[i] and unoccluded(around.geometry, s, clear)
+        if not ok:
+            continue
         offset = subtract(image, p)
         own = length(offset)
-        out.ok[i] = ok
-        out.length[i] = own + rest
-        out.scale[i] = math.sqrt(max(own, around.least) * max(own + rest, around.least))
+        scale = math.sqrt(max(own, around.least) * max(own + rest, around.least))
+        out.row[count], out.gain[count] = i, paths.scale[i] / scale
+        out.length[count], out.further[count] = own + rest, own + rest - paths.length[i]
         for axis in range(3):
-            out.direction[i, axis] = offset[axis] / own if own > 0.0 else 0.0
-    return bool(in_sight)
+            out.direction[count, axis] = offset[axis] / own if own > 0.0 else 0.0
+        for part_of in range(5):
+            out.name[count, part_of] = paths.name[i, part_of]
+        count += 1
+    return count

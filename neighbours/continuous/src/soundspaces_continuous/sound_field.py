@@ -51,7 +51,6 @@ from soundspaces_sim.parts import (
     point_distance as distance,
     prepare_planes,
     prepare_wedges,
-    unique_rows,
     unoccluded,
     vector_row as row,
     without_arrivals,
@@ -60,7 +59,6 @@ from soundspaces_sim.parts import (
 PathsName = Literal["simulated", "moved"]
 
 _CANDIDATES = 16  # points that are looked at, if none is within reach
-_MOST_JOINED = 4096
 _MEMORY = 200_000_000  # bytes of paths and echograms
 _AT = 1e-9  # m
 
@@ -75,23 +73,15 @@ class Place(NamedTuple):
 
 
 class Heard(NamedTuple):
-    """Paths as they reach a listener, and whose they are."""
+    """k paths as they reach a listener, those of each pair of points together."""
 
-    pair: tuple[int, int]  # source and listener, rows of the dataset's points
+    pairs: list[tuple[int, int]]  # source and listener, rows of the dataset's points
+    ends: list[int]  # where each pair's paths end
     rows: np.ndarray  # (k,) of the pair's paths
     gain: np.ndarray  # (k,) amplitude relative to that at the point
     length: np.ndarray  # (k,) m
     direction: np.ndarray  # (k, 3) unit
     further: np.ndarray  # (k,) m, than at the point: so much more air
-
-
-class _Together(NamedTuple):
-    """Paths of several pairs with one source."""
-
-    paths: Paths
-    start: list[int]  # where each pair's begin
-    number: np.ndarray  # (n,) of each path's name
-    names: int
 
 
 class SoundField:
@@ -128,8 +118,7 @@ class SoundField:
             LEAST_DISTANCE,
         )
         self.points = np.ascontiguousarray(ds.points - scene.center)
-        self._weight = np.empty(len(self.points))
-        self._joined: dict[tuple[int, tuple[int, ...]], _Together] = {}
+        self._near, self._share = np.empty(len(self.points), np.int64), np.empty(len(self.points))
         self._memory = BlockCache(_MEMORY)
         self._room: Moved = make_moved(64)
 
@@ -153,18 +142,16 @@ class SoundField:
         position = np.asarray(position, float)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise PointError(f"position: expected three finite coordinates in m, got {position}")
-        weight = self._weight
-        _weigh(self.around.geometry, self.points, position - self.scene.center, self.reach, weight)
-        near = np.flatnonzero(weight)
-        if len(near) == 0:
+        near, share = self._near, self._share
+        there = position - self.scene.center
+        n = int(_weigh(self.around.geometry, self.points, there, self.reach, near, share))
+        if n == 0:
             distance = np.linalg.norm(self.ds.points - position, axis=1)
             near = np.argsort(distance, kind="stable")[:_CANDIDATES]
             seen = np.empty(len(near), np.bool_)
-            _see(self.around.geometry, self.points, near, position - self.scene.center, seen)
+            _see(self.around.geometry, self.points, near, there, seen)
             return Place(position, (int(near[int(seen.argmax())]),), (1.0,))
-        shares = weight[near] / weight[near].sum()
-        order = np.argsort(-shares, kind="stable")
-        return Place(position, tuple(near[order].tolist()), tuple(shares[order].tolist()))
+        return Place(position, tuple(near[:n].tolist()), tuple(share[:n].tolist()))
 
     def pair(self, s: int, l: int) -> tuple[Echogram, Paths]:
         """The echogram between two points, and its discrete paths."""
@@ -181,45 +168,20 @@ class SoundField:
         # What the memory counts: the bytes behind these two.
         return {**record, "bytes": np.empty(echogram.energy.nbytes + 200 * len(paths.kind), np.uint8)}
 
-    def heard(self, source: Place, listener: Place) -> list[Heard]:
+    def heard(self, source: Place, listener: Place) -> Heard:
         """Discrete paths from one place to another, each from the heaviest of the listener's points that has it."""
-        together = self._together(source.points[0], listener.points)
-        n = len(together.paths.kind)
-        if n > len(self._room.ok):
-            self._room = make_moved(2 * n)
-        room, c = self._room, self.scene.center
-        seen = np.zeros(together.names, np.bool_)
-        move_paths(self.around, together.paths, source.position - c, listener.position - c, room)
-        _first_of_name(room.ok[:n], together.number, seen)
-        out = []
-        for k, l in enumerate(listener.points):
-            own = slice(together.start[k], together.start[k + 1])
-            rows = np.flatnonzero(room.ok[own])
-            gain = (together.paths.scale[own] / room.scale[own])[rows]
-            out.append(
-                Heard(
-                    (source.points[0], l),
-                    rows,
-                    gain,
-                    room.length[own][rows],
-                    room.direction[own][rows],
-                    room.length[own][rows] - together.paths.length[own][rows],
-                )
-            )
-        return out
-
-    def _together(self, s: int, points: tuple[int, ...]) -> _Together:
-        key = (s, points)
-        found = self._joined.get(key)
-        if found is None:
-            if len(self._joined) >= _MOST_JOINED:
-                self._joined.clear()
-            parts = [self.pair(s, l)[1] for l in points]
-            paths = Paths(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-            names, number = unique_rows(paths.name)
-            start = np.concatenate([[0], np.cumsum([len(p.kind) for p in parts])])
-            found = self._joined[key] = _Together(paths, start.tolist(), number, len(names))
-        return found
+        pairs = [(source.points[0], l) for l in listener.points]
+        paths = [self.pair(*pair)[1] for pair in pairs]
+        most = sum(len(p.kind) for p in paths)
+        if most > len(self._room.row):
+            self._room = make_moved(2 * most)
+        room, center, ends, n = self._room, self.scene.center, [], 0
+        ways = source.position - center, listener.position - center
+        for of_pair in paths:
+            n = int(move_paths(self.around, of_pair, *ways, room, n))
+            ends.append(n)
+        rest = room.gain, room.length, room.direction, room.further
+        return Heard(pairs, ends, *(column[:n].copy() for column in (room.row, *rest)))
 
     @cached_property
     def simulated(self) -> SimulatedPaths:
@@ -259,19 +221,23 @@ class SoundField:
     def _moved(self, source: Place, listener: Place) -> tuple[Arrival | None, Arrivals, bool]:
         """As `_simulated`, by paths of the points around."""
         direct, columns = None, []
-        for heard in self.heard(source, listener):
-            echogram, paths = self.pair(*heard.pair)
-            energy = heard.gain[:, None] ** 2 * paths.energy[heard.rows]
+        heard, first = self.heard(source, listener), 0
+        for pair, end in zip(heard.pairs, heard.ends, strict=True):
+            echogram, paths = self.pair(*pair)
+            own = slice(first, end)
+            rows, length = heard.rows[own], heard.length[own]
+            energy = heard.gain[own, None] ** 2 * paths.energy[rows]
             if echogram.air is not None:
-                times = heard.length / self.c, (heard.length - heard.further) / self.c
+                times = length / self.c, (length - heard.further[own]) / self.c
                 here, there = (air_left(echogram.air, echogram.bands, d) for d in times)
                 energy *= np.divide(here, there, out=np.zeros(here.shape), where=there > 0.0)
-            for k, i in enumerate(heard.rows):
-                arrival = heard.length[k] / self.c, energy[k], heard.direction[k]
+            for k, i in enumerate(rows):
+                arrival = length[k] / self.c, energy[k], heard.direction[first + k]
                 if paths.kind[i] in (DIRECT, THROUGH_WALLS):
                     direct = Arrival(*arrival)
                 else:
                     columns.append((*arrival, paths.name[i]))
+            first = end
         columns.sort(key=lambda column: column[0])
         early = without_arrivals(self.pair(source.points[0], listener.points[0])[0]).early
         if columns:
@@ -305,27 +271,32 @@ def _see(
 
 @kernel
 def _weigh(
-    geometry: Geometry, points: np.ndarray, place: np.ndarray, reach: float, out: np.ndarray
-) -> None:
-    """Fill `out` (N,) with Shepard's weights of points (N, 3) at a place (3,): 0 beyond `reach` and out of sight, 1
-    alone at a point itself."""
+    geometry: Geometry,
+    points: np.ndarray,
+    place: np.ndarray,
+    reach: float,
+    near: np.ndarray,
+    share: np.ndarray,
+) -> int:
+    """Fill `near` (N,) and `share` (N,) with rows of points (N, 3), the heaviest first, and their parts of the sum of
+    Shepard's weights at a place (3,): none beyond `reach` or out of sight, a point itself alone. How many there
+    are."""
     p = place[0], place[1], place[2]
+    n, whole = 0, 0.0
     for k in range(len(points)):
         q = row(points, k)
         d = distance(p, q)
-        out[k] = 0.0
         if d < _AT:
-            out[:] = 0.0
-            out[k] = 1.0
-            return
+            near[0], share[0] = k, 1.0
+            return 1
         if d < reach and unoccluded(geometry, p, q):
-            out[k] = ((reach - d) / (reach * d)) ** 2
-
-
-@kernel
-def _first_of_name(ok: np.ndarray, number: np.ndarray, seen: np.ndarray) -> None:
-    """Of paths `ok` (n,) with names `number` (n,) leave the first of each; `seen` (names,): none at first."""
-    for i in range(len(ok)):
-        if ok[i]:
-            ok[i] = not seen[number[i]]
-            seen[number[i]] = True
+            weight = ((reach - d) / (reach * d)) ** 2
+            at = n
+            while at > 0 and share[at - 1] < weight:
+                near[at], share[at] = near[at - 1], share[at - 1]
+                at -= 1
+            near[at], share[at] = k, weight
+            n, whole = n + 1, whole + weight
+    for at in range(n):
+        share[at] /= whole
+    return n

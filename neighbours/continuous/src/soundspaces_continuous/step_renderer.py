@@ -37,9 +37,9 @@ from soundspaces_sim.parts import (
     air_spectrum,
     arrival_filters,
     decoder_filters,
+    harmonics_of_direction as harmonics,
     kernel,
     kernel_part as part,
-    spherical_harmonics,
     without_arrivals,
 )
 
@@ -49,6 +49,9 @@ HARMONICS = 5  # of the heading: 2 N + 1 for order N = 2
 _HARMONIC, _PARTNER = np.array([0, 1, 0, 1, 3, 1, 0, 1, 3]), np.array([0, 3, 2, 1, 8, 7, 6, 5, 4])
 _MOST_PLACES = 32  # whose discrete paths are kept
 _LEGS = 3  # straight stretches of a discrete path, at most
+_GRIDS = 4  # sizes of transforms of discrete paths, by the longest
+_SIDE_BY_SIDE = 4  # rows that a transform takes at once; others it takes one by one, as slowly as four
+_LANES = 64  # bins that are turned together
 _STRETCH = 128  # samples with one scale
 _FINE, _COARSE = 32767.0, 127.0  # the largest of 16 and of 8 bits
 _LOUD = 2.0**-8  # of a response's peak, from which 16 bits are kept
@@ -93,33 +96,28 @@ class _Packed(NamedTuple):
 class _Pair(NamedTuple):
     late: _Packed  # (1, 5 * 2, n): reverberation at both ears, by harmonics of the heading
     colour: _Packed  # (paths, 1, taps): responses of its paths, arriving at 0 s
-    ahead: float  # samples by which a colour begins before its path arrives
 
 
-class _Response(NamedTuple):
-    """Both ears' response, not yet added up."""
+class _Grid(NamedTuple):
+    """Frequencies at which discrete paths are added up, and room for it."""
 
-    early: np.ndarray  # (5, 2, n) float32, by harmonics of the heading
-    turn: np.ndarray  # (5,) these harmonics
-    late: list[tuple[_Packed, np.ndarray]]  # of pairs, with weights (5,) of their harmonics
+    size: int  # samples
+    ears: np.ndarray  # (2, 9, 2, f) of the decoder
+    air: np.ndarray  # (2, f) logarithm of what a metre of air does; zeros where echograms do not tell its course
+    field: np.ndarray  # (9, 2, f)
+    path: np.ndarray  # (2, f)
+    lanes: np.ndarray  # (2, _LANES)
+    both: np.ndarray  # (5 + 1, 2, f) complex64: ears by harmonics of the heading, and silence (`_SIDE_BY_SIDE`)
 
-    def parts(self, block: int) -> int:
-        """Partitions of `block` samples."""
-        longest = max(late.fine.shape[2] + late.coarse.shape[2] for late, _ in self.late)
-        return -(-max(longest, self.early.shape[2]) // block)
+
+def _longest(late: list[tuple[_Packed, np.ndarray]]) -> int:
+    return max(packed.fine.shape[2] + packed.coarse.shape[2] for packed, _ in late)
 
 
 def _harmonics(heading: float) -> np.ndarray:
     """(5,) float32: 1, and cosine and sine of the heading (rad) and of twice the heading."""
     c, s = math.cos(heading), math.sin(heading)
     return np.array([1.0, c, s, c * c - s * s, 2.0 * c * s], np.float32)
-
-
-def _tones(directions: np.ndarray) -> np.ndarray:
-    """(k, 9) float32 harmonics of directions (k, 3)."""
-    tone = spherical_harmonics(directions).astype(np.float32)
-    tone[~directions.any(axis=1)] = np.eye(9)[0]  # at the very place: from all around
-    return tone
 
 
 class StepRenderer:
@@ -137,31 +135,36 @@ class StepRenderer:
         self.field, self.block, self.fade, self.memory = field, block, fade, memory
         self.rate, self._hrtf = ds.rate, ds.hrtf
         self.window = 2 * block + fade
-        self.size = int(scipy.fft.next_fast_len(self.window, real=True))
-        filters, self._lead = decoder_filters(self.rate, self._hrtf, "aligned", "diffuse-field")
-        longest = _LEGS * field.scene.diagonal / field.c
-        probe = arrival_filters(np.ones((1, len(ds.manifest.config.simulation.bands) - 1)), np.zeros(1),
-                                ds.manifest.config.simulation.bands, self.rate)  # fmt: skip
-        taps = filters.shape[2] + probe[0].shape[1]
-        self._early_size = int(scipy.fft.next_fast_len(math.ceil(longest * self.rate) + taps, real=True))
-        self._ears = lru_cache(maxsize=4)(lambda size: _apart(scipy.fft.rfft(filters, size)))
-        self._taps = filters.shape[2]
-        bins = self._early_size // 2 + 1
-        self._sum, self._path = np.zeros((9, 2, bins), np.float32), np.zeros((2, bins), np.float32)
-        self._both = np.empty((HARMONICS, 2, bins), np.complex64)
+        self.size = 2 * int(scipy.fft.next_fast_len(-(-self.window // 2), real=True))
+        self._filters, self._lead = decoder_filters(
+            self.rate, self._hrtf, "aligned", "diffuse-field"
+        )
+        self._reach = _LEGS * field.scene.diagonal
+        bands = ds.manifest.config.simulation.bands
+        probe, starts = arrival_filters(np.ones((1, len(bands) - 1)), np.zeros(1), bands, self.rate)
+        self._colour_taps, self._taps = probe.shape[1], self._filters.shape[2]
+        self._ahead = float(starts[0]) - 0.5  # samples by which a colour begins before its path arrives
+        self._ears = lru_cache(maxsize=4)(lambda size: _apart(scipy.fft.rfft(self._filters, size)))
+        self._grids = lru_cache(maxsize=_GRIDS)(self._make_grid)
+        self._tone = np.empty(9)
         self._kept: LastUsed[tuple[bytes, bytes], np.ndarray] = LastUsed(_MOST_PLACES)
-        self._air = self._air_of_a_metre()
+        turns = np.exp(np.arange(self.size // 4 + 1) * (2.0j * np.pi / self.size))
+        self._turns, self._folded = turns.astype(np.complex64), np.empty((4, len(turns)), np.complex64)
+        self._cut = np.zeros((0, 2, self.size), np.float32)  # partitions, and silence as long
         self._rise = ((np.arange(fade) + 0.5) / fade).astype(np.float32)
         self._key = (id(field), block, fade)
 
-    def _air_of_a_metre(self) -> np.ndarray:
-        """(2, f) float32: logarithm of what a metre of air does, real and imaginary; zeros where echograms do not
-        tell its course within bands."""
-        air = self.field.ds.manifest.config.simulation.air
-        if air is None:
-            return np.zeros((2, self._early_size // 2 + 1), np.float32)
-        log = air_spectrum(air, self.rate, self._early_size)
-        return np.ascontiguousarray(np.stack([log.real, log.imag]), np.float32)
+    def _make_grid(self, number: int) -> _Grid:
+        """For paths of up to `number` of `_GRIDS` parts of the longest."""
+        longest = math.ceil(number / _GRIDS * self._reach / self.field.c * self.rate)
+        size = int(scipy.fft.next_fast_len(longest + self._taps + self._colour_taps, real=True))
+        bins, air = size // 2 + 1, self.field.ds.manifest.config.simulation.air
+        log = np.zeros(bins) if air is None else air_spectrum(air, self.rate, size)
+        return _Grid(
+            size, _apart(scipy.fft.rfft(self._filters, size)), _apart(log),
+            np.empty((9, 2, bins), np.float32), np.empty((2, bins), np.float32), np.empty((2, _LANES)),
+            np.zeros((HARMONICS + 1, 2, bins), np.complex64),
+        )  # fmt: skip
 
     def hear(
         self,
@@ -174,91 +177,97 @@ class StepRenderer:
         """(2, block) float32 during step `step` at a place, facing `heading` rad; and the tail (2, fade)
         that goes on into the next step. `tail`: that of the step before; None: there was none."""
         total = np.zeros((2, self.size // 2 + 1), np.complex64)
+        out, after = np.zeros((2, self.block), np.float32), np.zeros((2, self.fade), np.float32)
         heard = False
         for source in sounding:
-            response = self._response(source.place, listener, heading)
-            spectra = {
-                p: source.signal.spectrum(step - p, self) for p in range(response.parts(self.block))
-            }
-            spectra = {p: spectrum for p, spectrum in spectra.items() if spectrum is not None}
-            if spectra:
-                partitions = self._partitions(response, max(spectra) + 1)
-                for p, spectrum in spectra.items():
-                    _multiply(total, spectrum, partitions[p])
+            late = self._late_of(source.place, listener, _harmonics(heading))
+            longest = max(_longest(late), self._grids(_GRIDS).size - self._lead)
+            parts = range(-(-longest // self.block))
+            spectra = [source.signal.spectrum(step - p, self) for p in parts]
+            last = max((p + 1 for p in parts if spectra[p] is not None), default=0)
+            if last:
+                early = self._early_of(source.place, listener)
+                partitions = self._partitions(early, late, heading, last)
+                for spectrum, partition in zip(spectra, partitions, strict=False):
+                    if spectrum is not None:
+                        _multiply(total, spectrum, partition)
                 heard = True
-        out = np.zeros((2, self.block), np.float32)
         if heard:
-            whole = scipy.fft.irfft(total, self.size, overwrite_x=True)
-            out[:] = whole[:, self.block : 2 * self.block]
-            after = whole[:, 2 * self.block : self.window]
-        else:
-            after = np.zeros((2, self.fade), np.float32)
+            _fold(self._folded, total, self._turns)
+            halves = scipy.fft.irfft(self._folded, self.size // 2)
+            _interleave(out, halves, self.block)
+            _interleave(after, halves, 2 * self.block)
         if tail is not None:
             out[:, : self.fade] = tail + (out[:, : self.fade] - tail) * self._rise
-        return out, np.ascontiguousarray(after)
+        return out, after
 
-    def _response(self, source: Place, listener: Place, heading: float) -> _Response:
-        """What reaches both ears from a place at another."""
+    def _late_of(
+        self, source: Place, listener: Place, turn: np.ndarray
+    ) -> list[tuple[_Packed, np.ndarray]]:
+        """Reverberation of pairs, with weights (5,) of their harmonics, from a place at another."""
+        return [
+            (self._pair(s, l).late, np.float32(math.sqrt(of_s * of_l)) * turn)
+            for s, of_s in zip(source.points, source.shares, strict=True)
+            for l, of_l in zip(listener.points, listener.shares, strict=True)
+        ]
+
+    def _early_of(self, source: Place, listener: Place) -> np.ndarray:
+        """`_early`, kept for the last places."""
         key = source.position.tobytes(), listener.position.tobytes()
-        early = self._kept.get(key, lambda: self._early(source, listener))
-        turn, late = _harmonics(heading), []
-        for s, of_s in zip(source.points, source.shares, strict=True):
-            for l, of_l in zip(listener.points, listener.shares, strict=True):
-                late.append((self._pair(s, l).late, np.float32(math.sqrt(of_s * of_l)) * turn))
-        return _Response(early, turn, late)
+        return self._kept.get(key, lambda: self._early(source, listener))
 
-    def _partitions(self, response: _Response, count: int) -> np.ndarray:
+    def _partitions(
+        self, early: np.ndarray, late: list[tuple[_Packed, np.ndarray]], heading: float, count: int
+    ) -> np.ndarray:
         """(count, 2, F) complex64 spectra of the first partitions of a response."""
         ears = np.zeros((2, count * self.block), np.float32)
-        _add_early(ears, response.early, response.turn)
-        for late, weights in response.late:
-            _add_late(ears, late.fine[0], late.scale[0], weights, 0)
-            _add_late(ears, late.coarse[0], late.scale[0], weights, late.fine.shape[2])
-        cut = ears.reshape(2, count, self.block).transpose(1, 0, 2)
-        return np.asarray(scipy.fft.rfft(cut, self.size))
+        _add_early(ears, early, self._lead, _harmonics(heading))
+        for packed, weights in late:
+            _add_late(ears, packed.fine[0], packed.scale[0], weights, 0)
+            _add_late(ears, packed.coarse[0], packed.scale[0], weights, packed.fine.shape[2])
+        if count > len(self._cut):
+            self._cut = np.zeros((count, 2, self.size), np.float32)
+        cut = self._cut[:count]
+        cut[:, :, : self.block] = ears.reshape(2, count, self.block).transpose(1, 0, 2)
+        return np.asarray(scipy.fft.rfft(cut))
 
     def _early(self, source: Place, listener: Place) -> np.ndarray:
-        """(5, 2, samples) float32: the discrete paths at both ears, by harmonics of the heading."""
-        self._sum[:] = 0.0
+        """(5 + 1, 2, samples) float32: the discrete paths at both ears, by harmonics of the heading; `_lead` samples
+        late."""
         if self.field.paths == "simulated":
             found = self.field.simulated.arriving(source.position, listener.position)
             echogram, _ = self.field.pair(source.points[0], listener.points[0])
-            colour, ahead = self._colours(found.energy, found.length, echogram)
-            turns = self._turns(found.length, ahead)
-            self._add(colour, _tones(found.direction), turns, np.zeros(len(colour)))
+            n, length, direction = len(found.length), found.length, found.direction
+            gain, further = np.ones(n), np.zeros(n)
         else:
-            heards = [heard for heard in self.field.heard(source, listener) if len(heard.rows)]
-            if heards:
-                pairs = [self._pair(*heard.pair) for heard in heards]
-                some = list(zip(heards, pairs, strict=True))
-                colour = np.concatenate([_unpacked(pair.colour, heard.rows) for heard, pair in some])
-                turns = np.concatenate([self._turns(heard.length, pair.ahead) for heard, pair in some])
-                tone = _tones(np.concatenate([heard.direction for heard in heards]))
-                tone *= np.concatenate([heard.gain for heard in heards])[:, None]
-                self._add(colour, tone, turns, np.concatenate([heard.further for heard in heards]))
-        _decode(self._both, self._sum, self._ears(self._early_size))
-        response = scipy.fft.irfft(self._both, self._early_size)[:, :, self._lead :]
-        return np.ascontiguousarray(response)
+            heard = self.field.heard(source, listener)
+            gain, length, direction, further = heard[3:]
+            n = len(length)
+        if n == 0:
+            return np.empty((HARMONICS + 1, 2, 0), np.float32)
+        part_of = math.ceil(float(length.max()) * _GRIDS / self._reach)
+        grid = self._grids(min(max(part_of, 1), _GRIDS))
+        rows = -(-n // _SIDE_BY_SIDE) * _SIDE_BY_SIDE
+        colour, first = np.zeros((rows, grid.size), np.float32), 0
+        if self.field.paths == "simulated":
+            colour[:n, : self._colour_taps] = self._colours(found.energy, found.length, echogram)
+        else:
+            for pair, end in zip(heard.pairs, heard.ends, strict=True):
+                if end > first:
+                    _unpacked(self._pair(*pair).colour, heard.rows[first:end], colour[first:end])
+                first = end
+        paths = np.stack([gain, length * (self.rate / self.field.c) + self._ahead, further])
+        _add_paths(grid, scipy.fft.rfft(colour), np.ascontiguousarray(direction), paths, self._tone)
+        _decode(grid.both, grid.field, grid.ears)
+        return np.asarray(scipy.fft.irfft(grid.both, grid.size))
 
-    def _add(self, colour: np.ndarray, tone: np.ndarray, turns: np.ndarray, further: np.ndarray) -> None:
-        """Add paths with responses `colour` (k, taps) to the field."""
-        spectra = scipy.fft.rfft(colour, self._early_size)
-        _add_paths(self._sum, spectra, tone, turns, (self._air, further), self._path)
-
-    def _turns(self, length: np.ndarray, ahead: float) -> np.ndarray:
-        """(k,) rad per bin, of paths of `length` (k,) m whose colours begin `ahead` samples before them."""
-        delay = length * (self.rate / self.field.c) + ahead
-        return np.asarray(delay * (-2.0 * np.pi / self._early_size))
-
-    def _colours(
-        self, energy: np.ndarray, length: np.ndarray, echogram: Echogram
-    ) -> tuple[np.ndarray, float]:
-        """((k, taps) float32 responses of paths of `energy` (k, b) and `length` (k,) m that arrive at 0 s; samples
-        by which they begin before). Bands and air are those of `echogram`."""
+    def _colours(self, energy: np.ndarray, length: np.ndarray, echogram: Echogram) -> np.ndarray:
+        """(k, taps) float32 responses of paths of `energy` (k, b) and `length` (k,) m that arrive at 0 s. Bands and
+        air are those of `echogram`."""
         # Half a sample late, where the windowed sinc rolls off before Nyquist's frequency: shifts ring no more.
         at, delay = np.full(len(length), 0.5 / self.rate), length / self.field.c
-        responses, starts = arrival_filters(energy, at, echogram.bands, self.rate, echogram.air, delay)
-        return responses.astype(np.float32), float(starts[0]) - 0.5 if len(starts) else 0.0
+        found, _ = arrival_filters(energy, at, echogram.bands, self.rate, echogram.air, delay)
+        return found.astype(np.float32)
 
     def _pair(self, s: int, l: int) -> _Pair:
         pair = self.memory.get((*self._key, s, l), lambda: self._make(s, l))["pair"].item()
@@ -268,10 +277,9 @@ class StepRenderer:
     def _make(self, s: int, l: int) -> dict[str, np.ndarray]:
         echogram, paths = self.field.pair(s, l)
         late = _packed(self._late(self.field.ds.rendered(without_arrivals(echogram), s, l)))
-        responses, ahead = self._colours(paths.energy, paths.length, echogram)
-        colour = _packed(responses[:, None])
+        colour = _packed(self._colours(paths.energy, paths.length, echogram)[:, None])
         pair = np.empty((), object)
-        pair[()] = _Pair(late, colour, ahead)
+        pair[()] = _Pair(late, colour)
         # The memory counts the bytes of all arrays.
         return {"pair": pair} | {str(k): array for k, array in enumerate((*late, *colour))}
 
@@ -310,13 +318,10 @@ def _packed(samples: np.ndarray) -> _Packed:
     return out
 
 
-def _unpacked(packed: _Packed, groups: np.ndarray) -> np.ndarray:
-    """(k, n) float32: the first rows of some groups (k,)."""
-    split = packed.fine.shape[2]
-    out = np.empty((len(groups), split + packed.coarse.shape[2]), np.float32)
+def _unpacked(packed: _Packed, groups: np.ndarray, out: np.ndarray) -> None:
+    """Fill the beginning of `out` (k, n) float32 with the first rows of some groups (k,)."""
     _unpack(out, packed.fine, packed.scale, groups, 0)
-    _unpack(out, packed.coarse, packed.scale, groups, split)
-    return out
+    _unpack(out, packed.coarse, packed.scale, groups, packed.fine.shape[2])
 
 
 @kernel
@@ -362,12 +367,14 @@ def _unpack(
 
 
 @kernel
-def _add_early(out: np.ndarray, early: np.ndarray, weights: np.ndarray) -> None:
-    """Add `early` (5, 2, n) to `out` (2, m), `weights` (5,) of its harmonics; what is beyond m is left out."""
+def _add_early(out: np.ndarray, early: np.ndarray, lead: int, weights: np.ndarray) -> None:
+    """Add `early` (5 + 1, 2, n) from sample `lead` on to `out` (2, m), `weights` (5,) of its harmonics; what is
+    beyond m is left out."""
     a, b, c, d, e = weights
     for ear in range(2):
         into = out[ear]
-        h0, h1, h2, h3, h4 = early[0, ear], early[1, ear], early[2, ear], early[3, ear], early[4, ear]
+        h0, h1, h2 = early[0, ear, lead:], early[1, ear, lead:], early[2, ear, lead:]
+        h3, h4 = early[3, ear, lead:], early[4, ear, lead:]
         for i in range(min(len(into), len(h0))):
             into[i] += a * h0[i] + b * h1[i] + c * h2[i] + d * h3[i] + e * h4[i]
 
@@ -379,20 +386,20 @@ def _add_late(
     """As `_add_early`, of packed samples (5 * 2, n) that begin at sample `first`, with `scale` (stretches,)."""
     n = min(out.shape[1] - first, late.shape[1])
     for ear in range(2):
-        h0, h1, h2 = late[ear], late[2 + ear], late[4 + ear]
-        h3, h4 = late[6 + ear], late[8 + ear]
         for start in range(0, n, _STRETCH):
             unit = scale[(first + start) // _STRETCH]
             a, b, c = weights[0] * unit, weights[1] * unit, weights[2] * unit
             d, e = weights[3] * unit, weights[4] * unit
             into = out[ear, first + start :]
+            h0, h1, h2 = late[ear, start:], late[2 + ear, start:], late[4 + ear, start:]
+            h3, h4 = late[6 + ear, start:], late[8 + ear, start:]
             for i in range(min(_STRETCH, n - start)):
                 into[i] += (
-                    a * np.float32(h0[start + i])
-                    + b * np.float32(h1[start + i])
-                    + c * np.float32(h2[start + i])
-                    + d * np.float32(h3[start + i])
-                    + e * np.float32(h4[start + i])
+                    a * np.float32(h0[i])
+                    + b * np.float32(h1[i])
+                    + c * np.float32(h2[i])
+                    + d * np.float32(h3[i])
+                    + e * np.float32(h4[i])
                 )
 
 
@@ -406,46 +413,83 @@ def _multiply(out: np.ndarray, spectrum: np.ndarray, part: np.ndarray) -> None:
 
 
 @kernel
+def _fold(out: np.ndarray, spectra: np.ndarray, turns: np.ndarray) -> None:
+    """Fill `out` (4, M / 2 + 1) with spectra of the even and of the odd samples of two signals with spectra (2, M + 1):
+    four transforms of M samples take half as long as two of 2 M (`_SIDE_BY_SIDE`). `turns`: by half a sample."""
+    m = spectra.shape[1] - 1
+    half = np.float32(0.5)
+    for ear in range(2):
+        own, even, odd = spectra[ear], out[2 * ear], out[2 * ear + 1]
+        for k in range(len(turns)):
+            a, b = own[k], own[m - k].conjugate()
+            even[k] = half * (a + b)
+            odd[k] = half * (a - b) * turns[k]
+
+
+@kernel
+def _interleave(out: np.ndarray, halves: np.ndarray, first: int) -> None:
+    """Fill `out` (2, n) with samples from `first` on of two signals, of which `halves` (4, M) has the even and the
+    odd ones."""
+    n, h = out.shape[1], first // 2
+    for ear in range(2):
+        into, one, two = out[ear], halves[2 * ear, h:], halves[2 * ear + 1, h:]
+        if first % 2 == 1:
+            one, two = two, halves[2 * ear, h + 1 :]
+        for i in range(n // 2):
+            into[2 * i], into[2 * i + 1] = one[i], two[i]
+        if n % 2 == 1:
+            into[n - 1] = one[n // 2]
+
+
+@kernel
 def _add_paths(
-    out: np.ndarray,
-    colour: np.ndarray,
-    tone: np.ndarray,
-    turns: np.ndarray,
-    air: tuple[np.ndarray, np.ndarray],
-    work: np.ndarray,
+    grid: _Grid, colour: np.ndarray, direction: np.ndarray, paths: np.ndarray, tone: np.ndarray
 ) -> None:
-    """Add paths to the spectra `out` (9, 2, f) of a field: `colour` (k, f), turned by `turns` (k,) rad per bin,
-    times `tone` (k, 9). `air`: logarithm (2, f) of what a metre of it does, and how many metres (k,) of it there
-    are more than in the colours; few, so that terms of second order are below 2e-4 at 8 kHz for 1.5 m. `work`
-    (2, f): scratch."""
-    bins = out.shape[2]
-    for k in range(len(colour)):
+    """Fill the field of a grid with paths (3, k): gain, delay in samples, metres of air that are not in the `colour`
+    (k or more, f); few, so that terms of second order are below 2e-4 at 8 kHz for 1.5 m. `direction` (k, 3): unit;
+    zero: from all around, at the very place. `tone` (9,): scratch."""
+    bins = colour.shape[1]
+    out, lanes, re, im = grid.field, grid.lanes, grid.path[0], grid.path[1]
+    air_re, air_im = grid.air[0], grid.air[1]
+    out[:] = 0.0
+    for k in range(len(direction)):
+        x, y, z = direction[k, 0], direction[k, 1], direction[k, 2]
+        harmonics(x, y, z, tone)
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            tone[1:] = 0.0
+        turn, more = -2.0 * math.pi * paths[1, k] / grid.size, np.float32(paths[2, k])
+        step_u, step_v = math.cos(turn), math.sin(turn)
         u, v = 1.0, 0.0
-        step_u, step_v = math.cos(turns[k]), math.sin(turns[k])
-        own = colour[k]
-        re, im = work[0], work[1]
-        more, air_re, air_im = np.float32(air[1][k]), air[0][0], air[0][1]
-        for f in range(bins):
-            a, b = np.float32(1.0) + more * air_re[f], more * air_im[f]
-            s, t = np.float32(u), np.float32(v)
-            p, q = a * s - b * t, a * t + b * s
-            re[f] = own[f].real * p - own[f].imag * q
-            im[f] = own[f].real * q + own[f].imag * p
+        for i in range(_LANES):
+            lanes[0, i], lanes[1, i] = u, v
+            u, v = u * step_u - v * step_v, u * step_v + v * step_u
+        step_u, step_v = u, v
+        u, v = 1.0, 0.0
+        for start in range(0, bins, _LANES):
+            own, a_re, a_im = colour[k, start:], air_re[start:], air_im[start:]
+            to_re, to_im, lane_u, lane_v = re[start:], im[start:], lanes[0], lanes[1]
+            for f in range(min(_LANES, bins - start)):
+                s = np.float32(u * lane_u[f] - v * lane_v[f])
+                t = np.float32(u * lane_v[f] + v * lane_u[f])
+                a, b = np.float32(1.0) + more * a_re[f], more * a_im[f]
+                p, q = a * s - b * t, a * t + b * s
+                to_re[f] = own[f].real * p - own[f].imag * q
+                to_im[f] = own[f].real * q + own[f].imag * p
             u, v = u * step_u - v * step_v, u * step_v + v * step_u
         for c in range(9):
-            y = tone[k, c]
-            if y == 0.0:
+            part_of = np.float32(tone[c] * paths[0, k])
+            if part_of == 0.0:
                 continue
             into_re, into_im = out[c, 0], out[c, 1]
             for f in range(bins):
-                into_re[f] += y * re[f]
+                into_re[f] += part_of * re[f]
             for f in range(bins):
-                into_im[f] += y * im[f]
+                into_im[f] += part_of * im[f]
 
 
 @kernel
 def _decode(out: np.ndarray, field: np.ndarray, filters: np.ndarray) -> None:
-    """Two ears `out` (5, 2, f) of a field (9, 2, f) in the world's axes, through `filters` (2, 9, 2, f) of a
+    """Two ears `out` (5 or more, 2, f) of a field (9, 2, f) in the world's axes, through `filters` (2, 9, 2, f) of a
     head's, by harmonics of its heading: 1, cos, sin, cos 2, sin 2 (`_harmonics`). A turned head hears the harmonics
     of degree m, c of cosine and s of sine, as c cos m + s sin m and s cos m - c sin m of the heading."""
     out[:] = 0.0
