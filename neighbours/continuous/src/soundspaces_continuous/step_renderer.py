@@ -220,15 +220,14 @@ class StepRenderer:
         self, early: np.ndarray, late: list[tuple[_Packed, np.ndarray]], heading: float, count: int
     ) -> np.ndarray:
         """(count, 2, F) complex64 spectra of the first partitions of a response."""
-        ears = np.zeros((2, count * self.block), np.float32)
-        _add_early(ears, early, self._lead, _harmonics(heading))
-        for packed, weights in late:
-            _add_late(ears, packed.fine[0], packed.scale[0], weights, 0)
-            _add_late(ears, packed.coarse[0], packed.scale[0], weights, packed.fine.shape[2])
         if count > len(self._cut):
             self._cut = np.zeros((count, 2, self.size), np.float32)
-        cut = self._cut[:count]
-        cut[:, :, : self.block] = ears.reshape(2, count, self.block).transpose(1, 0, 2)
+        cut, block = self._cut[:count], self.block
+        cut[:, :, :block] = 0.0
+        _add_early(cut, block, early, self._lead, _harmonics(heading))
+        for packed, weights in late:
+            _add_late(cut, block, packed.fine[0], packed.scale[0], weights, 0)
+            _add_late(cut, block, packed.coarse[0], packed.scale[0], weights, packed.fine.shape[2])
         return np.asarray(scipy.fft.rfft(cut))
 
     def _early(self, source: Place, listener: Place) -> np.ndarray:
@@ -367,33 +366,41 @@ def _unpack(
 
 
 @kernel
-def _add_early(out: np.ndarray, early: np.ndarray, lead: int, weights: np.ndarray) -> None:
-    """Add `early` (5 + 1, 2, n) from sample `lead` on to `out` (2, m), `weights` (5,) of its harmonics; what is
-    beyond m is left out."""
+def _add_early(
+    out: np.ndarray, block: int, early: np.ndarray, lead: int, weights: np.ndarray
+) -> None:
+    """Add `early` (5 + 1, 2, n) from sample `lead` on to partitions `out` (k, 2, `block` or more), `weights` (5,) of
+    its harmonics; what is beyond the last is left out."""
     a, b, c, d, e = weights
-    for ear in range(2):
-        into = out[ear]
-        h0, h1, h2 = early[0, ear, lead:], early[1, ear, lead:], early[2, ear, lead:]
-        h3, h4 = early[3, ear, lead:], early[4, ear, lead:]
-        for i in range(min(len(into), len(h0))):
-            into[i] += a * h0[i] + b * h1[i] + c * h2[i] + d * h3[i] + e * h4[i]
+    for p in range(len(out)):
+        first = lead + p * block
+        for ear in range(2):
+            into = out[p, ear]
+            h0, h1, h2 = early[0, ear, first:], early[1, ear, first:], early[2, ear, first:]
+            h3, h4 = early[3, ear, first:], early[4, ear, first:]
+            for i in range(min(block, len(h0))):
+                into[i] += a * h0[i] + b * h1[i] + c * h2[i] + d * h3[i] + e * h4[i]
 
 
 @kernel
 def _add_late(
-    out: np.ndarray, late: np.ndarray, scale: np.ndarray, weights: np.ndarray, first: int
+    out: np.ndarray, block: int, late: np.ndarray, scale: np.ndarray, weights: np.ndarray, first: int
 ) -> None:
     """As `_add_early`, of packed samples (5 * 2, n) that begin at sample `first`, with `scale` (stretches,)."""
-    n = min(out.shape[1] - first, late.shape[1])
+    n = min(len(out) * block - first, late.shape[1])
     for ear in range(2):
-        for start in range(0, n, _STRETCH):
-            unit = scale[(first + start) // _STRETCH]
+        start = 0
+        while start < n:
+            at = first + start
+            k, p = at // _STRETCH, at // block
+            unit = scale[k]
             a, b, c = weights[0] * unit, weights[1] * unit, weights[2] * unit
             d, e = weights[3] * unit, weights[4] * unit
-            into = out[ear, first + start :]
+            into = out[p, ear, at - p * block :]
             h0, h1, h2 = late[ear, start:], late[2 + ear, start:], late[4 + ear, start:]
             h3, h4 = late[6 + ear, start:], late[8 + ear, start:]
-            for i in range(min(_STRETCH, n - start)):
+            stop = min((k + 1) * _STRETCH - at, (p + 1) * block - at, n - start)
+            for i in range(stop):
                 into[i] += (
                     a * np.float32(h0[i])
                     + b * np.float32(h1[i])
@@ -401,6 +408,7 @@ def _add_late(
                     + d * np.float32(h3[i])
                     + e * np.float32(h4[i])
                 )
+            start += stop
 
 
 @kernel
