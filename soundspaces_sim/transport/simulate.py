@@ -166,6 +166,7 @@ def _simulate_ends(
     return directed_table(there, back, rows.ravel(), columns.ravel(), sources, listeners)
 
 
+@deferred()  # once, not 1,300 times for a small room
 def simulate_pairs(
     model: Model,
     a: np.ndarray,

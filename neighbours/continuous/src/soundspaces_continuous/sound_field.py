@@ -278,9 +278,9 @@ def _weigh(
     near: np.ndarray,
     share: np.ndarray,
 ) -> int:
-    """Fill `near` (N,) and `share` (N,) with rows of points (N, 3), the heaviest first, and their parts of the sum of
-    Shepard's weights at a place (3,): none beyond `reach` or out of sight, a point itself alone. How many there
-    are."""
+    """Fill `near` (N,) and `share` (N,) with rows of points (N, 3), the heaviest first, and their parts of the sum
+    of Shepard's weights at a place (3,): none beyond `reach` or out of sight, a point itself alone. How many
+    there are."""
     p = place[0], place[1], place[2]
     n, whole = 0, 0.0
     for k in range(len(points)):

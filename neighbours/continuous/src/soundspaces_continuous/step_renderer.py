@@ -103,11 +103,15 @@ class _Grid(NamedTuple):
 
     size: int  # samples
     ears: np.ndarray  # (2, 9, 2, f) of the decoder
-    air: np.ndarray  # (2, f) logarithm of what a metre of air does; zeros where echograms do not tell its course
+    air: (
+        np.ndarray
+    )  # (2, f) logarithm of what a metre of air does; zeros where echograms do not tell its course
     field: np.ndarray  # (9, 2, f)
     path: np.ndarray  # (2, f)
     lanes: np.ndarray  # (2, _LANES)
-    both: np.ndarray  # (5 + 1, 2, f) complex64: ears by harmonics of the heading, and silence (`_SIDE_BY_SIDE`)
+    both: (
+        np.ndarray
+    )  # (5 + 1, 2, f) complex64: ears by harmonics of the heading, and silence (`_SIDE_BY_SIDE`)
 
 
 def _longest(late: list[tuple[_Packed, np.ndarray]]) -> int:
@@ -136,9 +140,7 @@ class StepRenderer:
         self.rate, self._hrtf = ds.rate, ds.hrtf
         self.window = 2 * block + fade
         self.size = 2 * int(scipy.fft.next_fast_len(-(-self.window // 2), real=True))
-        self._filters, self._lead = decoder_filters(
-            self.rate, self._hrtf, "aligned", "diffuse-field"
-        )
+        self._filters, self._lead = decoder_filters(self.rate, self._hrtf, "aligned", "diffuse-field")
         self._reach = _LEGS * field.scene.diagonal
         bands = ds.manifest.config.simulation.bands
         probe, starts = arrival_filters(np.ones((1, len(bands) - 1)), np.zeros(1), bands, self.rate)
@@ -231,8 +233,8 @@ class StepRenderer:
         return np.asarray(scipy.fft.rfft(cut))
 
     def _early(self, source: Place, listener: Place) -> np.ndarray:
-        """(5 + 1, 2, samples) float32: the discrete paths at both ears, by harmonics of the heading; `_lead` samples
-        late."""
+        """(5 + 1, 2, samples) float32: the discrete paths at both ears, by harmonics of the heading; `_lead`
+        samples late."""
         if self.field.paths == "simulated":
             found = self.field.simulated.arriving(source.position, listener.position)
             echogram, _ = self.field.pair(source.points[0], listener.points[0])
@@ -366,11 +368,9 @@ def _unpack(
 
 
 @kernel
-def _add_early(
-    out: np.ndarray, block: int, early: np.ndarray, lead: int, weights: np.ndarray
-) -> None:
-    """Add `early` (5 + 1, 2, n) from sample `lead` on to partitions `out` (k, 2, `block` or more), `weights` (5,) of
-    its harmonics; what is beyond the last is left out."""
+def _add_early(out: np.ndarray, block: int, early: np.ndarray, lead: int, weights: np.ndarray) -> None:
+    """Add `early` (5 + 1, 2, n) from sample `lead` on to partitions `out` (k, 2, `block` or more), `weights` (5,)
+    of its harmonics; what is beyond the last is left out."""
     a, b, c, d, e = weights
     for p in range(len(out)):
         first = lead + p * block
@@ -422,8 +422,9 @@ def _multiply(out: np.ndarray, spectrum: np.ndarray, part: np.ndarray) -> None:
 
 @kernel
 def _fold(out: np.ndarray, spectra: np.ndarray, turns: np.ndarray) -> None:
-    """Fill `out` (4, M / 2 + 1) with spectra of the even and of the odd samples of two signals with spectra (2, M + 1):
-    four transforms of M samples take half as long as two of 2 M (`_SIDE_BY_SIDE`). `turns`: by half a sample."""
+    """Fill `out` (4, M / 2 + 1) with spectra of the even and of the odd samples of two signals with `spectra`
+    (2, M + 1): four transforms of M samples take half as long as two of 2 M (`_SIDE_BY_SIDE`). `turns`
+    (M / 2 + 1,): by half a sample."""
     m = spectra.shape[1] - 1
     half = np.float32(0.5)
     for ear in range(2):
@@ -453,7 +454,7 @@ def _interleave(out: np.ndarray, halves: np.ndarray, first: int) -> None:
 def _add_paths(
     grid: _Grid, colour: np.ndarray, direction: np.ndarray, paths: np.ndarray, tone: np.ndarray
 ) -> None:
-    """Fill the field of a grid with paths (3, k): gain, delay in samples, metres of air that are not in the `colour`
+    """Fill the field of a grid with paths (3, k): gain, delay in samples, metres of air that are not in `colour`
     (k or more, f); few, so that terms of second order are below 2e-4 at 8 kHz for 1.5 m. `direction` (k, 3): unit;
     zero: from all around, at the very place. `tone` (9,): scratch."""
     bins = colour.shape[1]
@@ -497,8 +498,8 @@ def _add_paths(
 
 @kernel
 def _decode(out: np.ndarray, field: np.ndarray, filters: np.ndarray) -> None:
-    """Two ears `out` (5 or more, 2, f) of a field (9, 2, f) in the world's axes, through `filters` (2, 9, 2, f) of a
-    head's, by harmonics of its heading: 1, cos, sin, cos 2, sin 2 (`_harmonics`). A turned head hears the harmonics
+    """Ears `out` (5 or more, 2, f) of a field (9, 2, f) in the world's axes, through `filters` (2, 9, 2, f) of
+    a head's, by harmonics of its heading: 1, cos, sin, cos 2, sin 2 (`_harmonics`). A turned head hears the harmonics
     of degree m, c of cosine and s of sine, as c cos m + s sin m and s cos m - c sin m of the heading."""
     out[:] = 0.0
     for ear in range(2):
