@@ -498,9 +498,9 @@ def _add_paths(
 
 @kernel
 def _decode(out: np.ndarray, field: np.ndarray, filters: np.ndarray) -> None:
-    """Ears `out` (5 or more, 2, f) of a field (9, 2, f) in the world's axes, through `filters` (2, 9, 2, f) of
-    a head's, by harmonics of its heading: 1, cos, sin, cos 2, sin 2 (`_harmonics`). A turned head hears the harmonics
-    of degree m, c of cosine and s of sine, as c cos m + s sin m and s cos m - c sin m of the heading."""
+    """Two ears `out` (5 or more, 2, f) of a field (9, 2, f) in the world's axes, through `filters` (2, 9, 2, f) of
+    a head's, by harmonics of its heading: 1, cos, sin, cos 2, sin 2 (`_harmonics`). A turned head hears the
+    harmonics of degree m, c of cosine and s of sine, as c cos m + s sin m and s cos m - c sin m of the heading."""
     out[:] = 0.0
     for ear in range(2):
         for c in range(9):
