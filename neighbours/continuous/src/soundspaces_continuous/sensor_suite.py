@@ -23,6 +23,7 @@ from soundspaces_sim.parts import (
     drawn_size,
     normalise_depth as normalise,
     shrink_views as shrink,
+    sound_intensity as intensity,
 )
 
 _FOREVER = 2**62  # samples
@@ -83,8 +84,7 @@ class ContinuousSensorSuite:
             elif name == "interaural":
                 into[:] = interaural(ears, self.bank.rate)
             elif name == "intensity":
-                wide = ears.astype(np.float64)
-                into[:] = np.sqrt(np.einsum("en,en->e", wide, wide) / wide.shape[1])
+                into[:] = intensity(ears)
             elif name == "depth":
                 into[:, :, 0] = self._see(state)
             elif name == POINTGOAL:
