@@ -29,7 +29,10 @@ from soundspaces_sim.transport.bsdf.surface import (
 )
 
 _EXPLORED_EVENTS = 3  # afterwards the exploring proposal is the average
-_LEAST_TRANSMISSION = 0.1  # probability of passing a surface that transmits and reflects
+_EXPLORING = (
+    0.1  # least probability, on these events, of passing what transmits and reflects; then in inverse
+)
+# proportion to their number: were it the same for ever, what stays in a room would be in ever fewer subpaths
 _NEGLIGIBLE = 1e-9  # band weight below which nothing is left of a path
 
 
@@ -114,7 +117,13 @@ def _choose_scattering(surfaces: Surfaces, material: int, u: float) -> int:
 
 @part(forceinline=True)
 def sample_split(
-    surfaces: Surfaces, material: int, cos: float, scatter: bool, energy: np.ndarray, u: float
+    surfaces: Surfaces,
+    material: int,
+    cos: float,
+    scatter: bool,
+    energy: np.ndarray,
+    event: int,
+    u: float,
 ) -> int:
     """Reflect specularly, transmit or (with `scatter`) scatter, in proportion to what each takes of all bands, and
     multiply `energy` (b,) accordingly: the lobe, or -1 if nothing is left. `u`: a uniform number."""
@@ -125,7 +134,7 @@ def sample_split(
         return -1
     p_through = through / (back + through)
     if through > 0.0 and back > 0.0:
-        p_through = max(p_through, _LEAST_TRANSMISSION)
+        p_through = max(p_through, _EXPLORING * _EXPLORED_EVENTS / max(event, _EXPLORED_EVENTS))
     if u < p_through:
         lobe, chance = bsdf.TRANSMISSION, p_through
     elif u < p_through + (1.0 - p_through) * diffuse / back:

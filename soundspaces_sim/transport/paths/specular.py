@@ -180,7 +180,7 @@ def _at_surface(context: _Context, paths: Paths, i: int, hit: Hit) -> bool:
     u, v, w = event_uniforms(state.stream, state.events)
     scatter = world.settings.radiance_transfer and patch < 0
     cos = cos_incidence(state, hit)
-    lobe = sample_split(surfaces, material, cos, scatter, paths.beta[i], u)
+    lobe = sample_split(surfaces, material, cos, scatter, paths.beta[i], state.events, u)
     if lobe < 0:
         return False
     if not is_delta(lobe):
