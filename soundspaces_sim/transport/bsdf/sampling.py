@@ -29,10 +29,9 @@ from soundspaces_sim.transport.bsdf.surface import (
 )
 
 _EXPLORED_EVENTS = 3  # afterwards the exploring proposal is the average
-_EXPLORING = (
-    0.1  # least probability, on these events, of passing what transmits and reflects; then in inverse
-)
-# proportion to their number: were it the same for ever, what stays in a room would be in ever fewer subpaths
+#: Least chance, on these events, of passing what transmits and reflects; then it falls as 1 / event. Were it the
+#: same for ever, sound that stays in a room would be in exponentially fewer subpaths.
+_EXPLORING = 0.1
 _NEGLIGIBLE = 1e-9  # band weight below which nothing is left of a path
 
 
@@ -117,16 +116,10 @@ def _choose_scattering(surfaces: Surfaces, material: int, u: float) -> int:
 
 @part(forceinline=True)
 def sample_split(
-    surfaces: Surfaces,
-    material: int,
-    cos: float,
-    scatter: bool,
-    energy: np.ndarray,
-    event: int,
-    u: float,
+    surfaces: Surfaces, material: int, cos: float, scatter: bool, beta: np.ndarray, event: int, u: float
 ) -> int:
     """Reflect specularly, transmit or (with `scatter`) scatter, in proportion to what each takes of all bands, and
-    multiply `energy` (b,) accordingly: the lobe, or -1 if nothing is left. `u`: a uniform number."""
+    multiply `beta` (b,) accordingly: the lobe, or -1 if nothing is left. `u`: a uniform number."""
     through, mirror = transmission(surfaces, material), specular_albedo(surfaces, material)
     diffuse = diffuse_albedo(surfaces, material) if scatter else 0.0
     back = mirror + diffuse
@@ -143,7 +136,7 @@ def sample_split(
         chance *= lobe_albedo(surfaces, material, lobe) / diffuse
     else:
         lobe, chance = bsdf.SPECULAR, (1.0 - p_through) * mirror / back
-    left = attenuate(surfaces, material, lobe, cos, energy, chance)
+    left = attenuate(surfaces, material, lobe, cos, beta, chance)
     return lobe if left > _NEGLIGIBLE else -1
 
 
