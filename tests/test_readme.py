@@ -262,7 +262,8 @@ def _is(*beginnings: str) -> list[str]:
 @pytest.fixture(scope="module")
 def walls(demo: Path) -> Path:
     """The folder of `demo` with out/walls/demo in it, whose materials may change."""
-    config = ss.JobConfig(simulation=quick(materials=ss.MaterialsConfig(enabled=True)))
+    # of 64 subpaths too little is known of what a wall takes: it is refused
+    config = ss.JobConfig(simulation=quick(256, materials=ss.MaterialsConfig(enabled=True)))
     scene = ss.load_scene("demo")
     ss.build_dataset(scene, demo / "out" / "walls", config, points=ss.make_grid(scene, 1.0).points[:6])
     return demo
