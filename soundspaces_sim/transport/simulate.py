@@ -26,13 +26,7 @@ from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_ends
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.transport.integrator import (
-    Made,
-    Progress,
-    relative_error,
-    run_techniques,
-    traced,
-)
+from soundspaces_sim.transport.integrator import Made, Progress, relative_error, run_techniques, traced
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.low_method import LowRuns, low_method
 from soundspaces_sim.transport.memory import tile_memory
@@ -285,8 +279,9 @@ def _add_rounds(made: Made, both_ways: bool) -> None:
     sizes = round_sizes(config)
     done = np.full(tile.shape[:2], sizes[0])
     by_subpaths = [technique for technique in TECHNIQUES if technique.connect is None]
+    error = relative_error(made).max(axis=(2, 3))
     for number, size in list(enumerate(sizes))[1:]:
-        wanted = takes_part(relative_error(made).max(axis=(2, 3)), done, number, config)
+        wanted = takes_part(error, done, number, config)
         if not wanted.any():
             continue
         rows, columns = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
@@ -302,6 +297,7 @@ def _add_rounds(made: Made, both_ways: bool) -> None:
         _average(sums.difference, s, l, more.difference[i, j], share)
         if not tile.same and sums.to_a.shape[2]:
             _average(sums.to_a, l, s, more.to_a[j, i], share)
+        error = relative_error(made).max(axis=(2, 3))
 
 
 def _average(
