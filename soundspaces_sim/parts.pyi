@@ -77,7 +77,6 @@ from .core.numerics.bands import (
     nominal,
 )
 from .core.numerics.kernel import (
-    core_count,
     kernel,
     over_rows,
     part as kernel_part,
@@ -87,7 +86,7 @@ from .core.numerics.kernel import (
 from .core.numerics.rng import combine as combine_keys, point_keys
 from .core.numerics.rows import unique_rows
 from .core.numerics.target import code_target
-from .core.numerics.threads import share_out
+from .core.numerics.threads import core_count, share_out
 from .core.numerics.vec3 import (
     Vec3,
     distance as point_distance,

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.kernel import core_count, set_thread_count
+from soundspaces_sim.core.numerics.kernel import set_thread_count
+from soundspaces_sim.core.numerics.threads import core_count
 from soundspaces_sim.scene import formats
 from tests import WORKERS
 from tests.rooms import table, two_rooms

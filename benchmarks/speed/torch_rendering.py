@@ -27,7 +27,7 @@ import numpy as np
 
 import soundspaces_sim as ss
 from benchmarks.tools.record import Table, UnavailableError, table
-from soundspaces_sim.core.numerics.kernel import core_count
+from soundspaces_sim.core.numerics.threads import core_count
 
 _BATCH = 256
 _SIZE, _SOURCE, _MICROPHONE = [6.0, 5.0, 2.7], [1.5, 1.2, 1.4], [4.1, 3.3, 1.6]

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.kernel import core_count, set_thread_count, thread_count
+from soundspaces_sim.core.numerics.kernel import set_thread_count, thread_count
+from soundspaces_sim.core.numerics.threads import core_count
 
 _log = logging.getLogger(__name__)
 

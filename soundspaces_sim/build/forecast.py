@@ -18,7 +18,7 @@ from soundspaces_sim.build.prepare import plan_job
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import PointError
 from soundspaces_sim.core.memory import free_memory
-from soundspaces_sim.core.numerics.kernel import core_count
+from soundspaces_sim.core.numerics.threads import core_count
 from soundspaces_sim.scene.scene import Scene
 
 # Points of the tiles that are timed, one after the other until that would take too long: the larger ones tell

@@ -22,7 +22,7 @@ from soundspaces_sim.core.errors import DatasetError
 from soundspaces_sim.core.interrupts import check
 from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.numerics.kernel import at_once, thread_count
-from soundspaces_sim.core.numerics.threads import RENDERERS
+from soundspaces_sim.core.numerics.threads import renderer_count
 from soundspaces_sim.core.profile import here, stage, working_in
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.manifest import ShardEntry
@@ -182,7 +182,7 @@ def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) ->
         with ThreadPoolExecutor(threads) as pool:
             return list(pool.map(one, range(len(echograms))))
 
-    threads, rendering = min(thread_count(), RENDERERS), here()
+    threads, rendering = renderer_count(thread_count()), here()
     rows = slice(entry.sources[0] - span[0][0], entry.sources[1] - span[0][0])
     attributes = shard_attributes(job.plan.draft, entry)
     try:

@@ -29,7 +29,8 @@ import numba
 import numpy as np
 
 from soundspaces_sim.core.config import SimulationConfig
-from soundspaces_sim.core.numerics.kernel import core_count, source_digest
+from soundspaces_sim.core.numerics.kernel import source_digest
+from soundspaces_sim.core.numerics.threads import core_count
 from soundspaces_sim.core.processes import end_with
 from soundspaces_sim.core.simulation_config import (
     ConnectionsConfig,

@@ -149,7 +149,7 @@ def _scenes_table(forecasts: list[Forecast]) -> Table:
 
 def _crews_table(forecasts: list[Forecast], workers: list[int]) -> Table:
     from soundspaces_sim.build.forecast import ALONE, local_shape, wall_time
-    from soundspaces_sim.core.numerics.kernel import core_count
+    from soundspaces_sim.core.numerics.threads import core_count
 
     tiles = [t for f in forecasts for t in f.tiles]
     here = local_shape(len(tiles))

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -25,7 +24,7 @@ from soundspaces_sim import rendering
 from soundspaces_sim.core.config import SimulationConfig, check_rate
 from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
 from soundspaces_sim.core.numerics.axes import check_degrees, check_head
-from soundspaces_sim.core.numerics.threads import RENDERERS
+from soundspaces_sim.core.numerics.threads import core_count, renderer_count
 from soundspaces_sim.core.registry import Entry, of_neighbour
 from soundspaces_sim.core.simulation_config import without_constants
 from soundspaces_sim.core.svg import BLUE, GREY, Dots, Layer, Lines, html, svg
@@ -328,7 +327,7 @@ class RirDataset:
                 return self.monaural(s, l, rate, source=emit[k])
             return self.binaural(s, l, float(turns[k]), rate, source=emit[k])
 
-        with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, RENDERERS)) as pool:
+        with ThreadPoolExecutor(workers or renderer_count(core_count())) as pool:
             found = list(pool.map(one, range(len(rows))))
         if kind == "echogram":
             return found, np.array([len(e.energy) for e in found])

@@ -21,7 +21,6 @@ and the cut to the band, in the frequency domain, brings it to the full rate.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -34,7 +33,7 @@ from soundspaces_sim.core.config import check_rate
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.axes import CHANNELS, spherical_harmonics
 from soundspaces_sim.core.numerics.rng import combine
-from soundspaces_sim.core.numerics.threads import RENDERERS
+from soundspaces_sim.core.numerics.threads import core_count, renderer_count
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import arrival_filters, band_shares, white_noise
 from soundspaces_sim.rendering.air import through_air, without_air
@@ -70,7 +69,7 @@ def ambisonic_rirs(
     seeds = seeds or range(len(echograms))
     if len(seeds) != len(echograms):
         raise ConfigError(f"seeds: expected one per echogram ({len(echograms)}), got {len(seeds)}")
-    with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, RENDERERS)) as pool:
+    with ThreadPoolExecutor(workers or renderer_count(core_count())) as pool:
         return list(pool.map(lambda e, s: ambisonic_rir(e, rate, s), echograms, seeds))
 
 

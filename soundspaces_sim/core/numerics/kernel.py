@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 import pickle
 import sys
 import threading
@@ -33,7 +32,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from soundspaces_sim.core.interrupts import check, deferred
 from soundspaces_sim.core.numerics.compilers import KernelCompiler, PartCompiler, forget_names
 from soundspaces_sim.core.numerics.stamp import code_digest, field_names
-from soundspaces_sim.core.numerics.threads import share_out
+from soundspaces_sim.core.numerics.threads import core_count, share_out
 from soundspaces_sim.core.profile import here, working_in
 
 _log = logging.getLogger(__name__)
@@ -148,13 +147,6 @@ class _OfThread(threading.local):
 
 
 _mine = _OfThread()
-
-
-def core_count() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def thread_count() -> int:

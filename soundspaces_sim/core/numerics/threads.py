@@ -16,8 +16,19 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-# Threads that render: much of a response is Python's own work, and more would wait for its lock.
-RENDERERS = 4
+_RENDERERS = 4  # much of a response is Python's own work, and more would wait for its lock
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def renderer_count(threads: int) -> int:
+    """Threads that render, where so many may be used."""
+    return min(threads, _RENDERERS)
 
 
 class _Call:

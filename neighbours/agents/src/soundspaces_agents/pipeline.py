@@ -3,7 +3,6 @@ where it was stopped; what is finished is left alone."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -68,6 +67,7 @@ from soundspaces_sim.parts import (
     SPLITS,
     EpisodeMaker,
     EpisodeRules as Rules,
+    core_count,
     read_manifest,
     worker_pool,
     write_splits,
@@ -89,7 +89,7 @@ def run_study(
 ) -> Path:
     """All stages; returns the report. `jobs`: processes; `variants`: some of the study's; `updates`: shorter
     runs; `homes`: fewer or more, to train with, to validate and to test with."""
-    jobs = max(1, min(jobs or os.cpu_count() or 1, os.cpu_count() or 1))
+    jobs = max(1, min(jobs or core_count(), core_count()))
     if seeds < 1:
         raise ConfigError(f"SEEDS: expected at least 1, got {seeds}")
     if homes is not None and (len(homes) != 3 or min(homes) < 1):

@@ -59,7 +59,7 @@ def draw_episode(
             speed = rules.speed if len(route) > 1 else 0.0
             sources.append(SoundSource(sound, route, *own, speed))
         noise = str(noises[int(rng.integers(len(noises)))]) if len(noises) else None
-        if any(world.floor_of(p) is not floor for p in points):
+        if any(world.floor_of(p) is not floor for s in sources for p in s.route):
             continue
         ways = [floor.distances(*world.points[p, :2].tolist()).ahead(x, y)[0] for p in points]
         least = min(ways[: rules.goals])

@@ -9,7 +9,6 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
-from os import cpu_count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ from soundspaces_sim import ConfigError
 from soundspaces_sim.parts import (
     ColumnMetadata as Metadata,
     as_data_frame as as_frame,
+    core_count,
     install_hint,
     publish_file as publish,
     worker_pool,
@@ -137,7 +137,7 @@ def evaluate(
     if len(pairs) == 0:
         raise ConfigError("pairs: expected at least one pair")
     parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
-    workers = min(cpu_count() or 1, len(parts))
+    workers = min(core_count(), len(parts))
     reader: Callable[[], PairOf] = partial(_same, pair_of)
     at_work: Callable[[], AbstractContextManager[Executor]] = partial(ThreadPoolExecutor, workers)
     if opened is not None and len(pairs) >= _MANY and workers > 1:
