@@ -1,4 +1,4 @@
-"""`verify`, `table`, `cite`, `export` and others: commands on datasets that are there."""
+"""`verify`, `table`, `export`: commands on datasets that are there."""
 
 from __future__ import annotations
 

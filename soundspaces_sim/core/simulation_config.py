@@ -128,7 +128,7 @@ class RadianceTransferConfig(Settings, frozen=True, kw_only=True, forbid_unknown
 class DiffractionConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Diffraction at the edges of surfaces.
 
-    `enabled`: ways round one or two edges, which are taken as rigid."""
+    `enabled`: ways round edges, however many; edges are taken as rigid."""
 
     stage: ClassVar[str] = "simulation.diffraction"
     enabled: bool = True

@@ -2,7 +2,7 @@
 
 A set of head-related transfer functions holds for sources as far away as its loudspeakers were. Nearer than a
 metre the head's shadow deepens: there the direct sound is corrected by the responses of a rigid sphere at both
-distances (`sphere.near_field_gains`), in magnitude, since interaural delays hardly change (Brungart & Rabinowitz
+distances (`near_field_gains`), in magnitude, since interaural delays hardly change (Brungart & Rabinowitz
 1999). Where the ears sit on the head is in the set itself.
 """
 

@@ -2,8 +2,7 @@
 
     bsdf, scene_surfaces     how surfaces reflect, scatter and transmit, and which of them a scene has
     paths                    subpaths of points: emission, `advance`, receiver volumes, connections, MIS weights
-    image_source             image sources of first and second order, and there and back
-    diffraction              paths round wedges and past the edges of finite reflectors
+    arrivals                 direct sound, image sources, and ways round edges
     radiance_transfer        late sound from patch to patch
     low_method               sound below the first band's edge by a neighbour (no paths)
     techniques, technique    which technique makes which paths, and what one consists of
