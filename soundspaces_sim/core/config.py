@@ -93,10 +93,10 @@ class DatasetConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     `rate`: of stored waveforms, and the reader's default, Hz. `seed`: of the simulation and of the noise in
     responses. `tile`: points per side of a tile; not set, it follows from the memory. `renderer`: how energy
-    becomes pressure: ``default``, ``smooth`` or ``paper``. `store`: ``echogram`` (a few kB per pair, from which
-    any waveform is made on reading), ``waveform``, or ``both``. `headings`: of stored binaural responses, which
-    stand beside the ambisonic one, degrees. `sample_format`: of stored waveforms; ``int16`` has a scale per
-    response. `licence`: of the data; every file carries it. `author`: whom to ask, a name and an address;
+    becomes pressure: ``default``, ``smooth``, ``paper`` or ``direct``. `store`: ``echogram`` (a few kB per pair,
+    from which any waveform is made on reading), ``waveform``, or ``both``. `headings`: of stored binaural
+    responses, which stand beside the ambisonic one, degrees. `sample_format`: of stored waveforms; ``int16`` has a
+    scale per response. `licence`: of the data; every file carries it. `author`: whom to ask, a name and an address;
     exports carry it. `organization`: of the author; exports carry it. `citation`: what is to be cited; every
     file carries it.
     """
