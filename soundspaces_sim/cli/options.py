@@ -257,7 +257,7 @@ MaterialsOnReadingOption = Annotated[
     bool,
     typer.Option(
         "--materials-on-reading",
-        help="Count reflections, so that other absorption can be chosen on reading: 2.5 to 3.5 times the time and "
+        help="Count reflections, so that other absorption can be chosen on reading: 2.3 to 3.5 times the time and "
         "about 2.6 times the bytes.",
     ),
 ]

@@ -31,8 +31,9 @@ _SCORES = (
     Score("SoftSPL", higher=True),
     Score("Actions", digits=0),
 )
-_ABOUT = f"""An agent hears a telephone and walks to it ([Navigation](navigation.md)); an episode ends at STOP
-or after {_STEPS} actions. Scores are those of the literature ([measures](navigation.md#frames-and-numbers)).
+_ABOUT = f"""An agent hears a telephone and walks to it ([Navigation](../../docs/navigation.md)). An
+episode ends at STOP or after {_STEPS} actions. Scores are those of the literature
+([measures](../../docs/navigation.md#frames-and-numbers)).
 All agents here know when they have arrived.
 
 - *Oracle* walks a shortest way. *EarFollower* turns to the louder ear, *GoalFollower* to the goal whatever is
