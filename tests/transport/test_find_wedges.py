@@ -2,10 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import soundspaces_sim as ss
 from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
-from soundspaces_sim.transport.arrivals.scene_edges import find_mutual_visibility
+from soundspaces_sim.transport.arrivals.scene_edges import (
+    _NEARER,
+    _PLACES,
+    _covered,
+    find_mutual_visibility,
+)
 from soundspaces_sim.transport.arrivals.wedges import Wedges
 from tests.rooms import box, edges_alone, sphere, table, two_rooms
 
@@ -92,6 +98,16 @@ def test_tessellation_changes_nothing(cuts: int) -> None:
     assert diffracted >= 4
 
 
+def test_small_triangles_have_edges_however_they_are_turned() -> None:
+    """Sides of 3 to 5 cm, of a block and a room that stand aslant, lie on their lines."""
+    turn = Rotation.from_euler("zyx", [30.0, 17.0, 8.0], degrees=True)
+    scene = _in_box(*_cuboid([2.0, 2.0, 0.8], [3.1, 2.7, 1.9], 24))
+    aslant = ss.Scene(scene.vertices @ turn.as_matrix().T, scene.faces, scene.face_material, scene.materials)
+    expected, found = find_wedges(scene), find_wedges(aslant)
+    np.testing.assert_allclose(np.sort(found.length), np.sort(expected.length), atol=1e-6)
+    np.testing.assert_allclose(np.sort(found.n), np.sort(expected.n), atol=1e-6)
+
+
 def test_walls_cut_differently_at_a_corner_share_it() -> None:
     """One side of a corner in one piece, the other in three, none of which end where the first does."""
     v, f = _cuboid([2.0, 2.0, 1.0], [3.0, 3.0, 2.0])
@@ -160,3 +176,17 @@ def test_mutual_visibility_is_the_same_from_both_wedges() -> None:
         np.testing.assert_allclose(
             np.cos(mutual.phi[row]), np.cos(sorted(angle % (2.0 * np.pi))), atol=1e-9
         )
+
+
+def test_what_nearer_edges_are_before() -> None:
+    """Against every edge and place in turn."""
+    rng = np.random.default_rng(0)
+    far = np.sort(rng.uniform(0.1, 2.0, 40).round(1))
+    ends = np.sort(rng.uniform(-1.0, 3.0, (40, 2)), axis=1)
+    length = rng.uniform(0.5, 2.0, 40)
+    for m, part in enumerate(_covered(far, ends, length)):
+        low, high = max(0.0, ends[m, 0]), min(length[m], ends[m, 1])
+        places = low + (high - low) * (np.arange(_PLACES) + 0.5) / _PLACES
+        nearer = ends[far < _NEARER * far[m]]
+        hidden = [any(a <= x <= b for a, b in nearer) for x in places]
+        assert part == (np.mean(hidden) if low < high else 1.0)

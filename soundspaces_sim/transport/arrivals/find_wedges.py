@@ -34,6 +34,7 @@ _log = logging.getLogger(__name__)
 MIN_ANGLE = np.deg2rad(20.0)  # between two faces: less is flat
 MIN_LENGTH = 0.3  # m
 _WELD = 4  # decimals of a metre
+_LEAST = MIN_LENGTH - 10.0**-_WELD  # m: with what sides of triangles stray
 _COLLINEAR = 0.002  # m, how far pieces of one edge stray from its line
 _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner plate is one face
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
@@ -144,8 +145,9 @@ class _Pieces(NamedTuple):
 
 
 def _pieces(vertices: np.ndarray, faces: np.ndarray) -> _Pieces:
-    points, faces = welded_faces(vertices, faces, _WELD)
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    points, welded = welded_faces(vertices, faces, _WELD)
+    points[welded] = vertices[faces]  # as they are: rounded ends turn short sides out of their line
+    faces = welded[(welded != np.roll(welded, 1, axis=1)).all(axis=1)]
     inward, width = np.empty((3 * len(faces), 3)), np.empty(3 * len(faces))
     over_rows(_find_inward, len(faces), points, faces, inward, width, least=_OF_THREAD)
     side = side_numbers(faces).T.ravel()
@@ -202,7 +204,7 @@ def _lines(pieces: _Pieces) -> list[np.ndarray]:
     at = np.stack([(p * along).sum(axis=1) for p in (pieces.a, pieces.b)])
     low = np.minimum.reduceat(at.min(axis=0)[order], start[:-1])
     high = np.maximum.reduceat(at.max(axis=0)[order], start[:-1])
-    return [order[start[i] : start[i + 1]] for i in np.flatnonzero(high - low >= MIN_LENGTH)]
+    return [order[start[i] : start[i + 1]] for i in np.flatnonzero(high - low >= _LEAST)]
 
 
 def _wedges_of_line(pieces: _Pieces, rows: np.ndarray) -> list[Candidate]:
@@ -227,7 +229,7 @@ def _wedges_of_line(pieces: _Pieces, rows: np.ndarray) -> list[Candidate]:
     spans = zip(np.minimum(*z)[near].tolist(), np.maximum(*z)[near].tolist(), angle, strict=True)
     out: list[Candidate] = []
     for run in _runs([_Span(*span) for span in spans]):
-        if run.high - run.low >= MIN_LENGTH - 1e-9:
+        if run.high - run.low >= _LEAST:
             towards = np.cos(run.face) * e1 + np.sin(run.face) * e2
             normal = np.cos(run.face) * e2 - np.sin(run.face) * e1
             at, n = first + run.low * along, round(run.sector / np.pi, 9)
@@ -370,4 +372,4 @@ def _open_parts(scene: Scene, wedges: Wedges) -> Wedges:
     rows = np.array(kept, np.int64)
     start = wedges.start[rows] + low_z[:, None] * wedges.along[rows] if len(rows) else wedges.start[:0]
     cut = Wedges(*(column[rows] for column in wedges))._replace(start=start, length=high_z - low_z)
-    return Wedges(*(column[cut.length >= MIN_LENGTH - 1e-9] for column in cut))
+    return Wedges(*(column[cut.length >= _LEAST] for column in cut))

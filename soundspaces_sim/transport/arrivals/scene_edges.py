@@ -93,10 +93,8 @@ def _rows_of_faces(wedges: Wedges, mutual: MutualVisibility) -> tuple[np.ndarray
     face = 2 * e[rows] + second
     order = np.lexsort((far, face))
     for group in np.split(order, np.flatnonzero(np.diff(face[order])) + 1):
-        for n, m in enumerate(group):
-            nearer = group[:n][far[group[:n]] < _NEARER * far[m]]
-            if _covered(ends[nearer], ends[m], wedges.length[e[rows[m]]]) > 0.5:
-                linked[rows[m]] = False
+        length = wedges.length[e[rows[group]]]
+        linked[rows[group[_covered(far[group], ends[group], length) > 0.5]]] = False
     rows = np.flatnonzero(linked & linked[mutual.reverse])
     return rows, width[rows]
 
@@ -153,15 +151,16 @@ def _across_and_along(wedges: Wedges, e: np.ndarray, f: np.ndarray) -> tuple[np.
     return np.linalg.norm(across, axis=1), np.sort(ends, axis=1)
 
 
-def _covered(nearer: np.ndarray, ends: np.ndarray, length: float) -> float:
-    """Part of what two parallel edges have beside each other that others, nearer to the first one, are before: of
-    an edge of this `length` and one between `ends` (2,) along it, others between `nearer` (n, 2). All of two that
+def _covered(far: np.ndarray, ends: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(n,) Part of what an edge has beside it of a parallel one that others of the n, nearer to that, are before:
+    edges `far` m from one of this `length` (n,), between `ends` (n, 2) along it, in order of `far`. All of two that
     have nothing beside each other."""
-    low, high = max(0.0, ends[0]), min(length, ends[1])
-    if low >= high:
-        return 1.0
-    at = low + (high - low) * (np.arange(_PLACES) + 0.5) / _PLACES
-    return float(((nearer[:, :1] <= at) & (at <= nearer[:, 1:])).any(axis=0).mean())
+    low, high = np.maximum(ends[:, 0], 0.0), np.minimum(ends[:, 1], length)
+    at = low[:, None] + (high - low)[:, None] * (np.arange(_PLACES) + 0.5) / _PLACES
+    hidden = np.zeros(at.shape, bool)
+    for (start, end), first in zip(ends, np.searchsorted(_NEARER * far, far, "right"), strict=True):
+        hidden[first:] |= (start <= at[first:]) & (at[first:] <= end)
+    return np.where(low < high, hidden.mean(axis=1), 1.0)
 
 
 @part
