@@ -48,7 +48,7 @@ from soundspaces_sim.transport.arrivals.images import (
     unfold,
 )
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
-from soundspaces_sim.transport.arrivals.sight import Seen, Sight, coordinates_in, row_of
+from soundspaces_sim.transport.arrivals.sight import Seen, Sight, coordinates_in, meets, row_of
 from soundspaces_sim.transport.arrivals.specular_planes import NEAR, cover_at
 from soundspaces_sim.transport.arrivals.two_edges import (
     BEYOND,
@@ -160,20 +160,24 @@ def _add_mirrors(context: Context, a: Sight, b: Sight, i: int, j: int, scratch: 
     """Reflections off planes, by the sequences that rays from either end meet."""
     own, other = a.sequences, b.sequences
     p, q = row(a.points, i), row(b.points, j)
-    last = own.seen.shape[1]
+    none = len(context.sight.planes.offset)
     for n in range(own.start[i], own.start[i + 1]):
         one, two = own.planes[n, 0], own.planes[n, 1]
-        _add_mirror(context, (one, two, -1), p, q, scratch)
-        if two >= 0:
+        if two == none:
+            _add_mirror(context, (one, -1, -1), p, q, scratch)
+        else:
+            _add_mirror(context, (one, two, -1), p, q, scratch)
             _add_mirror(context, (one, two, one), p, q, scratch)
     for n in range(other.start[j], other.start[j + 1]):
         two, one = other.planes[n, 0], other.planes[n, 1]
-        if one < 0:
-            one, two = two, -1
-        if not own.seen[i, one, two if two >= 0 else last]:
-            _add_mirror(context, (one, two, -1), p, q, scratch)
-        if two >= 0 and not own.seen[i, two, one]:
-            _add_mirror(context, (two, one, two), p, q, scratch)
+        if one == none:
+            if not meets(own, i, two, none):
+                _add_mirror(context, (two, -1, -1), p, q, scratch)
+        else:
+            if not meets(own, i, one, two):
+                _add_mirror(context, (one, two, -1), p, q, scratch)
+            if not meets(own, i, two, one):
+                _add_mirror(context, (two, one, two), p, q, scratch)
 
 
 @part

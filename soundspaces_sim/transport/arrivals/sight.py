@@ -39,6 +39,7 @@ _RAYS = (
 )
 _GOLDEN = 0.6180339887498949
 _SPACING = 0.4  # m, between the points of an edge that are tried
+_FLAGS = 2**26  # of sequences of two planes, at a time
 _BLOCK = 256  # ends that are tried against all wedges at a time
 _OF_THREAD = 32  # ends whose links are worth a thread
 _ROUNDING = 1e-9  # m
@@ -64,10 +65,8 @@ class Seen(NamedTuple):
 class Sequences(NamedTuple):
     """Planes worth trying from N points: those that rays meet."""
 
-    # (N, P, P + 1): from point i, rays meet plane a alone ([a, P]) or a and then b ([a, b])
-    seen: np.ndarray
     start: np.ndarray  # (N + 1,)
-    planes: np.ndarray  # (n, 2) plane, and the second one or -1
+    planes: np.ndarray  # (n, 2) plane, and the second one or the number of planes, in order
 
 
 class Sight(NamedTuple):
@@ -107,7 +106,7 @@ def _specular_plane(view: View, triangle: int, direction: Vec3) -> int:
 
 @kernel
 def _find_sequences(first: int, last: int, sight: View, points: np.ndarray, seen: np.ndarray) -> None:
-    """Set flags of `Sequences.seen`."""
+    """Set flags `seen` (N, P, P + 1): rays meet plane a alone, [a, P], or a and then b, [a, b]."""
     geometry, planes = sight.geometry, sight.planes
     count = len(planes.offset)
     for i in range(first, last):
@@ -137,14 +136,34 @@ def _find_sequences(first: int, last: int, sight: View, points: np.ndarray, seen
 
 def find_sequences(view: View, points: np.ndarray) -> Sequences:
     """The planes that rays from points (N, 3) m meet."""
-    count = len(view.planes.offset)
-    seen = np.zeros((len(points), count, count + 1), np.bool_)
-    over_rows(_find_sequences, len(points), view, points, seen)
-    rows = np.argwhere(seen)
+    count, found = len(view.planes.offset), [np.empty((0, 3), np.int64)]
+    some = max(_FLAGS // max(count * (count + 1), 1), 1)
+    for begin in range(0, len(points), some):
+        seen = np.zeros((len(points[begin : begin + some]), count, count + 1), np.bool_)
+        over_rows(_find_sequences, len(seen), view, points[begin : begin + some], seen)
+        found.append(np.argwhere(seen) + np.array([begin, 0, 0]))
+    rows = np.concatenate(found)
     start = np.searchsorted(rows[:, 0], np.arange(len(points) + 1))
-    found = rows[:, 1:].copy()
-    found[found[:, 1] == count, 1] = -1
-    return Sequences(seen, start, found)
+    return Sequences(start, rows[:, 1:].copy())
+
+
+@part
+def meets(sequences: Sequences, i: int, one: int, two: int) -> bool:
+    """Whether rays from a point meet plane `one` and then `two`, or with the number of planes, nothing that matters
+    then."""
+    low, high = sequences.start[i], sequences.start[i + 1]
+    while low < high:
+        middle = (low + high) // 2
+        a, b = sequences.planes[middle, 0], sequences.planes[middle, 1]
+        if a < one or (a == one and b < two):
+            low = middle + 1
+        else:
+            high = middle
+    return (
+        low < sequences.start[i + 1]
+        and sequences.planes[low, 0] == one
+        and sequences.planes[low, 1] == two
+    )
 
 
 # Wedges
@@ -239,9 +258,11 @@ def _fill_links(first: int, last: int, edges: Edges, seen: Seen) -> None:
 def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -> Sight:
     """What points (N, 3) m of these keys see; images are those in the planes that are large."""
     sequences, wedges = find_sequences(view, points), edges.wedges
-    met = sequences.seen[:, :, -1] & edges.large
-    if len(wedges.length) == 0:
-        met = np.zeros_like(met)
+    met = np.zeros((len(points), len(edges.large)), bool)
+    if len(wedges.length):
+        alone = np.flatnonzero(sequences.planes[:, 1] == len(edges.large))
+        plane = sequences.planes[alone, 0]
+        met[np.searchsorted(sequences.start, alone, "right") - 1, plane] = edges.large[plane]
     # A point itself comes before its images. Columns of one array are of another layout where there is one row.
     own, plane = np.nonzero(np.concatenate([np.ones((len(points), 1), bool), met], axis=1))
     own, plane = np.ascontiguousarray(own), np.ascontiguousarray(plane - 1)

@@ -403,13 +403,14 @@ def _add_face(edges: Edges, n: int, count: int, p: Vec3, q: Vec3, scratch: WaySc
             _place(wedges, scratch, n + end, count, p, q),
             _place(wedges, scratch, n + 1 - end, count, p, q),
         )
-        phi, sector, leg = wedge_coordinates(wedges, e, to).phi, math.pi * wedges.n[e], distance(own, to)
+        about, sector = wedge_coordinates(wedges, e, to), math.pi * wedges.n[e]
+        phi, across = about.phi, max(about.r, MIN_RADIUS)
         face = 0 if phi < 0.5 * sector or phi > 0.5 * sector + math.pi else 1
         off = abs(phi - sector) if face == 1 else min(phi, 2.0 * math.pi - phi)
         if off > _ALONG or count == _MOST_EDGES:
             continue
         for m in range(links.start[e], links.start[e + 1]):
-            f, far = links.wedge[m], links.width[m] / leg
+            f, far = links.wedge[m], links.width[m] / across
             if (links.phi[m, 0] > 0.5 * sector) != (face == 1) or f == other or far > 1.0:
                 continue
             at = along(own, far, subtract(to, own))
