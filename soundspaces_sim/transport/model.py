@@ -6,6 +6,7 @@ they make of it: `owner.once(make)` is `make(owner)`, made when it is first aske
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -97,6 +98,25 @@ class Model(Once):
         return int(self.world.window_of_bin[-1]) + 1
 
 
+def time_bins(config: SimulationConfig, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (bins + 1,) that cover `duration`, and the bin of each step of the first width."""
+    first = config.time_grid[0][1]
+    edges = [0.0]
+    for k, (_, width) in enumerate(config.time_grid):
+        last = config.time_grid[k + 1][0] if k + 1 < len(config.time_grid) else np.inf
+        while edges[-1] < min(last, duration) - 1e-9:
+            edges.append(round((edges[-1] + width) / first) * first)
+    array = np.array(edges)
+    steps = np.rint(np.diff(array) / first).astype(np.int64)
+    return array, np.repeat(np.arange(len(steps)), steps)
+
+
+def late_from(config: SimulationConfig, edges: np.ndarray) -> float:
+    """The first edge of a bin, s, from which on nothing is connected any more; the last one if there is none."""
+    later = edges[edges > config.connections.window - 1e-9]
+    return float(later.min(initial=edges[-1]))
+
+
 def air_transmission(config: SimulationConfig, lengths: np.ndarray) -> np.ndarray:
     """(…, b) share of every band's energy that air leaves after paths of `lengths` (…) m: between the same lengths
     that kernels interpolate between."""
@@ -125,13 +145,15 @@ def air_table(config: SimulationConfig, longest: float, step: float) -> np.ndarr
     From `_FAR` on exponential between some steps: a band's rate of loss hardly changes there, for the frequencies
     that air takes most of are gone; within 10^-5 of the band's own (a test compares).
     """
-    lengths = np.arange(int(longest / step) + 3) * step
+    near, count = math.ceil(_FAR / step), int(longest / step) + 3
+    if count > near:  # the same after a length, whatever is the longest
+        count = near + 1 - (near - count) // _APART * _APART
+    lengths = np.arange(count) * step
     if config.air is None:
         return np.ones((len(lengths), len(config.bands) - 1))
-    near = np.searchsorted(lengths, _FAR)
-    if len(lengths) - near < 2 * _APART:
+    if count <= near:
         return config.air.transmission(config.bands, lengths)
-    chosen = np.unique(np.append(np.arange(near, len(lengths), _APART), len(lengths) - 1))
+    chosen = np.arange(near, count, _APART)
     left = np.maximum(config.air.transmission(config.bands, lengths[chosen]), np.finfo(float).tiny)
     far = [np.exp(np.interp(lengths[near:], lengths[chosen], np.log(column))) for column in left.T]
     return np.concatenate(

@@ -21,7 +21,16 @@ from soundspaces_sim.echogram.time_windows import time_windows
 from soundspaces_sim.scene.porous_layers import mounted
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.low_method import low_method
-from soundspaces_sim.transport.model import AIR_STEP, EARLY_S, Model, Prepare, PreparedScene, air_table
+from soundspaces_sim.transport.model import (
+    AIR_STEP,
+    EARLY_S,
+    Model,
+    Prepare,
+    PreparedScene,
+    air_table,
+    late_from,
+    time_bins,
+)
 from soundspaces_sim.transport.paths import detector
 from soundspaces_sim.transport.paths.decay import measure_decay
 from soundspaces_sim.transport.radiance_transfer.patches import no_patches
@@ -150,12 +159,6 @@ def at_duration(prepared: PreparedScene, duration: float, seed: int = 0) -> Mode
     return Model(prepared, seed, duration, time_edges, world)
 
 
-def _late_from(config: SimulationConfig, edges: np.ndarray) -> float:
-    """The first edge of a bin, s, from which on nothing is connected any more."""
-    later = edges[edges > config.connections.window - 1e-9]
-    return float(later.min(initial=edges[-1]))
-
-
 def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Settings:
     """Settings for echograms of these time bins and a scene of so many patches."""
     end = float(edges[-1]) * config.c
@@ -175,7 +178,7 @@ def _settings(config: SimulationConfig, edges: np.ndarray, patches: int) -> Sett
         connection_length=min(connections.window * config.c, end) if connected else -1.0,
         connection_depth=_CONNECTION_DEPTH,
         radiance_transfer=patches > 0,
-        late_length=_late_from(config, edges) * config.c,
+        late_length=late_from(config, edges) * config.c,
         step=config.time_grid[0][1] * config.c,
         air_step=AIR_STEP,
     )
@@ -227,16 +230,3 @@ def _cut_note(decay: np.ndarray, config: SimulationConfig) -> str:
         f"{config.decay_range_db:g} dB{undefined}: set simulation.max_duration to "
         f"{math.ceil(min(needed, LONGEST))} (s) or more, or simulation.decay_range_db lower"
     )
-
-
-def time_bins(config: SimulationConfig, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (bins + 1,) that cover `duration`, and the bin of each step of the first width."""
-    first = config.time_grid[0][1]
-    edges = [0.0]
-    for k, (_, width) in enumerate(config.time_grid):
-        last = config.time_grid[k + 1][0] if k + 1 < len(config.time_grid) else np.inf
-        while edges[-1] < min(last, duration) - 1e-9:
-            edges.append(round((edges[-1] + width) / first) * first)
-    array = np.array(edges)
-    steps = np.rint(np.diff(array) / first).astype(np.int64)
-    return array, np.repeat(np.arange(len(steps)), steps)

@@ -119,3 +119,12 @@ def test_air_far_away_is_that_of_every_step(monkeypatch: pytest.MonkeyPatch) -> 
         np.testing.assert_allclose(
             table[at], transmission(config.air, config.bands, 0.1 * at), rtol=1e-5, atol=1e-300
         )
+
+
+def test_air_after_a_length_is_the_same_in_any_table() -> None:
+    """A tile's table ends where its longest path does: no bit may tell."""
+    config = ss.SimulationConfig()
+    whole = air_table(config, 4000.0, 0.1)
+    for longest in (1500.0, 1999.75, 2000.05, 2007.0, 2010.0, 3456.7):
+        table = air_table(config, longest, 0.1)
+        np.testing.assert_array_equal(table, whole[: len(table)])

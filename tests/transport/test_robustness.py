@@ -125,6 +125,18 @@ def test_few_bounces_bands_and_short_durations() -> None:
     assert len(_run(room, P, Q, bands=octaves, duration=0.1)) == 7
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"duration": 0.1, "time_grid": ((0.0, 0.1),)},
+        {"duration": 0.21, "connections": {"window": 0.205, "subpaths": 16}},
+    ],
+)
+def test_no_bin_begins_after_the_window_of_connections(settings: dict[str, object]) -> None:
+    """The last bin begins within it: there is nothing for patches to do."""
+    assert np.all(_run(box(SIZE, table(0.1, 0.5)), P, Q, **settings) > 0.0)
+
+
 def test_open_air_over_a_plane_ends_soon() -> None:
     assert np.all(_run(plane(3.0, table(0.0, 0.0, 0.0)), [0.0, 0.0, 1.0], [1.0, 0.0, 1.0]) > 0.0)
 
@@ -135,6 +147,10 @@ def test_open_air_over_a_plane_ends_soon() -> None:
         ({}, r"radiance transfer, with \d+ patches and 16 transfer subpaths from each"),
         ({"radiance_transfer": False}, "receiver volumes, as radiance transfer is off"),
         ({"duration": 0.05}, "receiver volumes, as there is none after the window of connections"),
+        (
+            {"duration": 0.1, "time_grid": ((0.0, 0.1),)},
+            "receiver volumes, as there is none after the window",
+        ),
     ],
 )
 def test_it_is_said_who_makes_late_sound(

@@ -81,7 +81,8 @@ class Air:
             left = np.zeros(lengths.shape)
             for low, high in pairwise(cuts):
                 rate = self.attenuation(0.5 * (high + low) + 0.5 * (high - low) * nodes)
-                mean = np.exp(-lengths[..., None] * rate) @ (0.5 * weights)
+                # A matrix product's last digits depend on how many lengths there are.
+                mean = np.einsum("...n,n", np.exp(-lengths[..., None] * rate), 0.5 * weights)
                 left += mean * (high - low) / (bands[b + 1] - bands[b])
             out[..., b] = left
         return out

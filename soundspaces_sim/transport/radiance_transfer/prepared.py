@@ -16,7 +16,7 @@ from soundspaces_sim.core.profile import stage
 from soundspaces_sim.scene.scene import scene_key
 from soundspaces_sim.transport.bsdf.surface import group_count, lambertian_energy, non_lambertian
 from soundspaces_sim.transport.element_depths import air_on_sides
-from soundspaces_sim.transport.model import Model, PreparedScene
+from soundspaces_sim.transport.model import Model, PreparedScene, late_from, time_bins
 from soundspaces_sim.transport.radiance_transfer.batch_variance import group_patches
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import Decay
 from soundspaces_sim.transport.radiance_transfer.patch_construction import make_patches
@@ -69,7 +69,8 @@ def reason_against(prepared: PreparedScene, duration: float) -> str:
     config = prepared.config
     if not config.radiance_transfer.enabled:
         return "radiance transfer is off"
-    if not duration > config.connections.window:
+    edges, _ = time_bins(config, duration)
+    if not late_from(config, edges) < edges[-1]:
         return f"there is none after the window of connections ({config.connections.window:g} s)"
     lobe = non_lambertian(prepared.surfaces, prepared.geometry.material)
     return f"lobe '{lobe}' is not Lambertian, which patches need" if lobe else ""
