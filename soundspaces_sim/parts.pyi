@@ -95,7 +95,7 @@ from .core.numerics.vec3 import (
     row as vector_row,
     subtract as subtract_vectors,
 )
-from .core.platforms import exclusive as exclusive_file, rename_open
+from .core.platforms import exclusive as exclusive_file, rename_open, reserve as reserve_file
 from .core.processes import end_with, isolated_children, start_worker, worker_pool
 from .core.profile import adopt as adopt_profile, here as profile_here, stage as profile_stage
 from .core.registry import (
@@ -690,6 +690,7 @@ __all__ = [
     "rename_open",
     "reported",
     "require_within",
+    "reserve_file",
     "response_length",
     "response_rate",
     "response_samples",

@@ -39,7 +39,15 @@ from soundspaces_sim.transport.simulate import largest_side
 
 NAME = "job.npz"
 _TABLE = ("frequency_hz", "absorption", "scattering", "transmission")
+_UNREADABLE = LookupError, ValueError, TypeError, AttributeError, OverflowError, RecursionError
 _AGAIN = "run the same `make rirs` again"
+
+
+class _Origin(msgspec.Struct):
+    """What any version's plan says of who made it."""
+
+    code_version: str
+    target: str = ""
 
 
 @dataclass(frozen=True)
@@ -183,45 +191,40 @@ def _opened(path: Path) -> Iterator[Any]:
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Job:
     """The job of arrays that are what was written. Raises `DatasetError` if this version cannot go on with it."""
     try:
-        draft = msgspec.json.decode(arrays["plan"].tobytes(), type=Manifest)
+        plan = arrays["plan"].tobytes()
+        _check_origin(path, msgspec.json.decode(plan, type=_Origin))
+        draft = msgspec.json.decode(plan, type=Manifest)
         table = MaterialTable(
             tuple(arrays["materials"].tolist()),
             *(arrays[name] for name in _TABLE),
             reflection=tuple(arrays["reflection"].tolist()),
             mounting=tuple(arrays["mounting"].tolist()),
         )
-        scene = Scene(
-            arrays["vertices"],
-            arrays["faces"],
-            arrays["face_material"],
-            table,
-            name=draft.scene,
-            notes=draft.notes,
-        )
+        mesh = arrays["vertices"], arrays["faces"], arrays["face_material"]
+        scene = Scene(*mesh, table, name=draft.scene, notes=draft.notes)
         job = Job(path.parent, JobPlan(draft, int(arrays["block"])), scene, arrays["geodesic"])
-    except (
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        OverflowError,
-        SoundSpacesSimError,
-    ) as error:
+    except DatasetError:
+        raise
+    except (*_UNREADABLE, msgspec.MsgspecError, SoundSpacesSimError) as error:
         raise DatasetError(f"{path}: not a job of this version ({error}); {_AGAIN}") from error
-    if draft.code_version != __version__:
-        raise DatasetError(
-            f"{path}: version {draft.code_version} of soundspaces_sim planned this job, this is version "
-            f"{__version__}; all workers of a job need the same"
-        )
-    if draft.target != code_target():
-        raise DatasetError(
-            f"{path}: this job was planned on another machine (code for {draft.target or 'one not recorded'}, here "
-            f"for {code_target()}), whose results have other last digits; all workers of a job need the same kind"
-        )
     key = job_key(scene.digest, draft.config, draft.duration, job.points)
     if (scene.digest, key) != (draft.scene_digest, draft.key):
         raise DatasetError(f"{path}: scene and settings do not give the keys of the plan; {_AGAIN}")
     return job
+
+
+def _check_origin(path: Path, made: _Origin) -> None:
+    """Raise `DatasetError` for a plan of another version, which may be of another form, or for another machine."""
+    if made.code_version != __version__:
+        raise DatasetError(
+            f"{path}: version {made.code_version} of soundspaces_sim planned this job, this is version "
+            f"{__version__}; all workers of a job need the same"
+        )
+    if made.target != code_target():
+        raise DatasetError(
+            f"{path}: this job was planned on another machine (code for {made.target or 'one not recorded'}, here "
+            f"for {code_target()}), whose results have other last digits; all workers of a job need the same kind"
+        )
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:

@@ -18,9 +18,7 @@ from soundspaces_sim.build.plan import JobPlan, PointBlocks, Range, Span
 from soundspaces_sim.echogram.assembly import cut
 from soundspaces_sim.echogram.echogram import Echograms
 
-_WANTED = (
-    0.75  # least share of wanted pairs among those that are simulated, else tiles are made one by one
-)
+_WANTED = 0.75  # least share of wanted pairs among those simulated, else tiles are made one by one
 
 
 @dataclass(frozen=True)

@@ -107,6 +107,13 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
+def reserve(handle: int, size: int) -> None:
+    """Set room on the disk aside for an open file, where the system can be asked to: a mapping that is written to
+    without ends the process. Raises OSError."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(handle, 0, size)
+
+
 def sync_all() -> None:
     """Wait until all files are on disk, where the system can be asked to."""
     if hasattr(os, "sync"):

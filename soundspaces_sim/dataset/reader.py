@@ -9,7 +9,6 @@ files. Reading echograms or tables imports neither the renderer nor the tracer.
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,6 +22,7 @@ from numpy.typing import ArrayLike
 from soundspaces_sim import rendering
 from soundspaces_sim.core.config import SimulationConfig, check_rate
 from soundspaces_sim.core.errors import ConfigError, DatasetError, PairIndexError
+from soundspaces_sim.core.io.untrusted import parse_json
 from soundspaces_sim.core.numerics.axes import check_degrees, check_head
 from soundspaces_sim.core.numerics.threads import core_count, renderer_count
 from soundspaces_sim.core.registry import Entry, of_neighbour
@@ -565,8 +565,9 @@ def read_room(path: str | Path) -> list[list[Echogram]]:
     finally:
         plain.close()
     try:
-        config = msgspec.convert(without_constants(json.loads(text)[2]), SimulationConfig)
-    except (ValueError, LookupError, TypeError, ConfigError) as error:
+        settings = parse_json(text, path, DatasetError, "room's settings")[2]
+        config = msgspec.convert(without_constants(settings), SimulationConfig)
+    except (msgspec.MsgspecError, ValueError, LookupError, TypeError, ConfigError) as error:
         raise DatasetError(f"{path}: its settings cannot be read ({error}); make it again") from error
     shard = EchogramShard(Path(path), config.air)
     try:

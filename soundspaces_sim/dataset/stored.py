@@ -69,7 +69,7 @@ class ShardHandles:
         self, folder: Path, manifest: Manifest, fetch: Callable[[ShardEntry], None] | None = None
     ) -> None:
         self._folder, self._fetch = folder, fetch
-        self._air = manifest.config.simulation.air
+        self._air, self._bands = manifest.config.simulation.air, manifest.config.simulation.bands
         self._rows: dict[Form, np.ndarray] = {}
         self._columns: dict[Form, np.ndarray] = {}
         for form in ("echogram", "waveform"):
@@ -135,7 +135,7 @@ class ShardHandles:
             echogram = entry.form == "echogram"
             shard = EchogramShard(path, self._air) if echogram else WaveformShard(path)
             try:
-                shard.check_identity(entry, self._points)
+                shard.check_identity(entry, self._points, self._bands)
             except BaseException:
                 shard.close()
                 raise
@@ -230,11 +230,7 @@ class StoredResponses:
         return changeable(groups, found)
 
     def echogram(
-        self,
-        s: SupportsIndex,
-        l: SupportsIndex,
-        materials: Materials | None = None,
-        force: bool = False,
+        self, s: SupportsIndex, l: SupportsIndex, materials: Materials | None = None, force: bool = False
     ) -> Echogram:
         """The echogram of a pair; with `materials`, these instead of those of the dataset. Raises `PairIndexError`,
         `DatasetError`, `MaterialError`."""

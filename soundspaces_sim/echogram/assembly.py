@@ -10,15 +10,7 @@ import numpy as np
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.reflection_counts import ReflectionCounts
 
-_OF_PAIRS = (
-    "energy",
-    "direct_energy",
-    "direct_length",
-    "walls",
-    "relative_error",
-    "measure_error",
-    "low",
-)
+_OF_PAIRS = "energy", "direct_energy", "direct_length", "walls", "relative_error", "measure_error", "low"
 _OF_ALL = ("bands", "speed_of_sound", "time_edges", "air", "low_edge")
 
 

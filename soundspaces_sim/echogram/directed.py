@@ -129,9 +129,8 @@ def bin_gains(to: Aim, energy: np.ndarray) -> np.ndarray:
     total = energy[:, :1]
     ratio = np.divide(energy, total, out=np.zeros_like(energy), where=total > 0.0)
     ratio[:, 0] = 1.0
-    moments = (
-        rotation_matrix(to.turn).T @ to.pattern.moments
-    )  # M Y(d) = Y(R^T d), so D(R^T d) has M^T d_nm
+    # M Y(d) = Y(R^T d), so D(R^T d) has M^T d_nm.
+    moments = rotation_matrix(to.turn).T @ to.pattern.moments
     mean = np.einsum("tcb,cb->tb", ratio, moments.astype(energy.dtype))
     return np.asarray(to.pattern.scale * np.clip(mean, to.pattern.least, to.pattern.most))
 

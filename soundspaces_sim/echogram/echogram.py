@@ -224,7 +224,7 @@ class Echogram:
     def histogram(self, bin_s: float = 0.01) -> np.ndarray:
         """(bands, bins) float64, J/m² for 1 J emitted: all energy, direct and early included.
 
-        Bin i covers [i, i + 1) * `bin_s`. Energy of a stored bin that is cut is shared by duration.
+        Bin i covers [i, i + 1) * `bin_s`, to rounding. Energy of a stored bin that is cut is shared by duration.
         """
         if not bin_s > 0.0:
             raise ValueError(f"bin_s must be positive, got {bin_s}")
@@ -236,7 +236,7 @@ class Echogram:
         )
         out = np.stack([np.diff(np.interp(edges, self.time_edges, column)) for column in cumulative.T])
         for arrival in self.arrivals:
-            out[:, min(int(arrival.delay / bin_s), bins - 1)] += arrival.energy
+            out[:, min(int(arrival.delay / bin_s + 1e-9), bins - 1)] += arrival.energy
         return np.maximum(out, 0.0)
 
 
@@ -300,12 +300,8 @@ class Echograms:
         if not (-n_s <= s < n_s and -n_l <= l < n_l):
             raise PairIndexError(f"pair ({s}, {l}) is not among {n_s} sources × {n_l} listeners")
         s, l = s % n_s, l % n_l
-        direct = direct_arrival(
-            self.sources[s] - self.listeners[l],
-            float(self.direct_length[s, l]),
-            self.direct_energy[s, l],
-            self.speed_of_sound,
-        )
+        offset, distance = self.sources[s] - self.listeners[l], float(self.direct_length[s, l])
+        direct = direct_arrival(offset, distance, self.direct_energy[s, l], self.speed_of_sound)
         rows = slice(*self.early_start[s * n_l + l : s * n_l + l + 2])
         early = Arrivals(*(getattr(self.early, f.name)[rows] for f in fields(Arrivals)))
         return Echogram(

@@ -24,6 +24,7 @@ from soundspaces_sim.echogram.measure_names import MEASURES
 _HEADROOM_DB = 10.0  # the decay must reach this far below the evaluated range (ISO 3382-1, 5.3.3)
 _SLOWEST = 0.9  # of what a cut response is taken to lose in a tenth of its length
 BIN_S = 0.001
+_AT_ONCE = 2**22  # energies of listeners that a thread works at
 LARGEST_ERROR = 0.2  # relative, of a reverberation time that is told
 RANGES = (("T20", -5.0, -25.0), ("T30", -5.0, -35.0), ("EDT", 0.0, -10.0))
 _ONSET_DB = -20.0  # of the peak: where a response starts (ISO 3382-1, annex A.3.4)
@@ -118,7 +119,7 @@ def _reason(energy: np.ndarray, bin_s: float, time: float, reached: float, lower
 def energy_measures(energy: np.ndarray, bin_s: float, onset_s: float) -> RoomMeasures:
     """Measures of (bands, n) energies; `onset_s` is the direct sound's time."""
     bands = len(energy)
-    start = int(onset_s / bin_s + 1e-9)
+    start = min(int(onset_s / bin_s + 1e-9), energy.shape[1] - 1)
     after = energy[:, start:]
     reasons: list[str] = []
     silent = np.asarray(~after.any(axis=1))
@@ -179,20 +180,21 @@ def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
     measured; so is the direct-to-reverberant ratio of a source out of sight.
     """
     bins = int(np.ceil(max(echoes.time_edges[-1], echoes.early.delay.max(initial=0.0)) / BIN_S)) + 1
-    parts: list[dict[str, np.ndarray]] = [{} for _ in echoes.sources]
+    sources, listeners, bands = *echoes.shape, len(echoes.bands) - 1
+    step = max(_AT_ONCE // (bins * bands), 1)
+    pairs = [(s, l) for s in range(sources) for l in range(0, max(listeners, 1), step)]
+    parts: list[dict[str, np.ndarray]] = [{} for _ in pairs]
 
     def call(first: int, last: int) -> None:
-        for s in range(first, last):
-            after = _after_onset(echoes, s, bins)
+        for k in range(first, last):
+            after = _after_onset(echoes, *pairs[k], step, bins)
             curve, reached = _curve_and_depth(after)
-            times = {
-                name.lower(): _fitted(curve, reached, BIN_S, upper, lower)
-                for name, upper, lower in RANGES
-            }
-            parts[s] = {**times, **energy_ratios(after, BIN_S)}
+            times = {n.lower(): _fitted(curve, reached, BIN_S, *levels) for n, *levels in RANGES}
+            parts[k] = {**times, **energy_ratios(after, BIN_S)}
 
     over_rows(call, len(parts), chunk=1)
-    out = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+    shape = sources, listeners, bands
+    out = {name: np.concatenate([part[name] for part in parts]).reshape(shape) for name in parts[0]}
     out["drr"] = np.where(echoes.walls[:, :, None] == 0, out["drr"], np.nan)
     if echoes.measure_error is not None:
         drop_uncertain(out, echoes.measure_error)
@@ -203,12 +205,10 @@ def why_undefined(echogram: Echogram, name: str, band: int) -> str:
     """Why a reverberation time (``t20``, ``t30``, ``edt``) of a band of `echograms_measures` is NaN."""
     begin = f"{name.upper()}, band {band}: "
     found = [r.removeprefix(begin) for r in room_measures(echogram).reasons if r.startswith(begin)]
+    if found:
+        return found[0]
     return (
-        found[0]
-        if found
-        else (
-            f"its standard error is above {100 * LARGEST_ERROR:.0f} %: take more subpaths (simulation.walks)"
-        )
+        f"its standard error is above {100 * LARGEST_ERROR:.0f} %: take more subpaths (simulation.walks)"
     )
 
 
@@ -220,24 +220,28 @@ def drop_uncertain(measures: dict[str, np.ndarray], error: np.ndarray) -> None:
         measures[name] = np.where(known, measures[name], np.nan)
 
 
-def _after_onset(echoes: Echograms, s: int, bins: int) -> np.ndarray:
-    """(L, bands, bins) energies of one source in bins of `BIN_S`, from each onset on."""
+def _after_onset(echoes: Echograms, s: int, first: int, most: int, bins: int) -> np.ndarray:
+    """(l, bands, bins) energies of one source in bins of `BIN_S`, from each onset on, at listeners from the `first`
+    on, `most` of them."""
     edges = np.minimum(np.arange(bins + 1) * BIN_S, echoes.time_edges[-1])
     # Position of each edge among the stored bins; energy of a bin that is cut is shared by duration.
     k = np.clip(np.searchsorted(echoes.time_edges, edges, "right") - 1, 0, len(echoes.time_edges) - 2)
     share = (edges - echoes.time_edges[k]) / np.diff(echoes.time_edges)[k]
-    stored = echoes.energy[s, :, :, 0].astype(float)
+    some = slice(first, first + most)
+    stored = echoes.energy[s, some, :, 0].astype(float)
     cumulative = np.concatenate([np.zeros_like(stored[:, :1]), np.cumsum(stored, axis=1)], axis=1)
     at_edges = cumulative[:, k] + share[:, None] * stored[:, k]
     energy = np.maximum(np.diff(at_edges, axis=1), 0.0).transpose(0, 2, 1)
-    count = echoes.shape[1]
-    early = slice(int(echoes.early_start[s * count]), int(echoes.early_start[(s + 1) * count]))
-    listener = np.repeat(np.arange(count), np.diff(echoes.early_start[s * count : (s + 1) * count + 1]))
-    at = np.minimum((echoes.early.delay[early] / BIN_S).astype(int), bins - 1)
+    count, pair = len(energy), s * echoes.shape[1] + first
+    start = echoes.early_start[pair : pair + count + 1]
+    early, listener = slice(int(start[0]), int(start[-1])), np.repeat(np.arange(count), np.diff(start))
+    at = np.minimum((echoes.early.delay[early] / BIN_S + 1e-9).astype(int), bins - 1)
     np.add.at(energy.transpose(0, 2, 1), (listener, at), echoes.early.energy[early])
-    direct = np.minimum((echoes.direct_length[s] / echoes.speed_of_sound / BIN_S).astype(int), bins - 1)
-    energy[np.arange(count), :, direct] += echoes.direct_energy[s]
-    onset = np.where(echoes.direct_energy[s].any(axis=1), direct, first_loud(energy))
+    of_direct = echoes.direct_energy[s, some]
+    delay = echoes.direct_length[s, some] / echoes.speed_of_sound
+    direct = np.minimum((delay / BIN_S + 1e-9).astype(int), bins - 1)
+    energy[np.arange(count), :, direct] += of_direct
+    onset = np.where(of_direct.any(axis=1), direct, first_loud(energy))
     rows = onset[:, None] + np.arange(bins)
     shifted = np.take_along_axis(energy, np.minimum(rows, bins - 1)[:, None], axis=2)
     return np.where((rows < bins)[:, None], shifted, 0.0)

@@ -43,9 +43,8 @@ from soundspaces_sim.transport.tile import (
 from soundspaces_sim.transport.walks import make_vertices, make_walks
 
 Progress = Callable[[int], None]  # points traced
-_STUDENT = np.sqrt(
-    (BATCHES - 1) / (BATCHES - 3)
-)  # standard deviation of a deviation over an error by so many batches (Student's t)
+#: Standard deviation of a deviation over an error by so many batches (Student's t).
+_STUDENT = np.sqrt((BATCHES - 1) / (BATCHES - 3))
 _UNKNOWN = 1.0  # relative error of energy that one batch carries
 _LARGEST_KNOWN = 0.5
 _ROOM = 2**29  # bytes for the tables of points that are traced together, if threads have one each

@@ -6,44 +6,54 @@ they leave there is kept until the tile is made that it is for. A pair's energie
 the bits are those of tiles that are made one by one.
 
 Tables are kept in memory up to a limit, and beyond it in unnamed files of a folder, which go with the process.
-Where neither has room, a block is traced again.
+Where neither has room, or none is left for its subpaths themselves, a block is traced again.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from soundspaces_sim.core.memory import free_memory
+from soundspaces_sim.core.platforms import reserve
+from soundspaces_sim.transport.memory import SUBPATHS_ALONE
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.state import Tables
 from soundspaces_sim.transport.tables import CHANNELS
 from soundspaces_sim.transport.tile import Side, Walks, batch_rows, make_side
 
 MEMORY = 1e9  # bytes of tables that are kept in memory
+_OF_FREE = 0.2  # of the free memory, for sides and walks, which are kept nowhere else
 _SPARE = 2.0  # times what is written that must be free on the disk
 _log = logging.getLogger(__name__)
 
 Add = Callable[[slice, Tables], None]
 #: The walks of the first side; what they deposit at the second is added.
 TraceSide = Callable[[Side, Side, Add], Walks]
-_Key = bytes
-
-
-def _key(points: np.ndarray) -> _Key:
-    return points.tobytes()
+_Key = bytes  # of points
 
 
 class KeptTraces:
-    """Of one model. `folder`: where there is room beside `memory` bytes; None: nowhere."""
+    """Of one model. `folder`: where there is room for tables beside `memory` bytes; None: nowhere. `walks`: bytes
+    of sides and walks that are kept from tile to tile."""
 
-    def __init__(self, model: Model, folder: Path | None = None, memory: float = MEMORY) -> None:
+    def __init__(
+        self,
+        model: Model,
+        folder: Path | None = None,
+        memory: float = MEMORY,
+        walks: float | None = None,
+    ) -> None:
         self.model = model
         self._folder, self._memory = folder, memory
+        self._room = _OF_FREE * free_memory() if walks is None else walks
         self._coming: set[frozenset[_Key]] = set()
         self._points: dict[_Key, np.ndarray] = {}
         self._sides: dict[_Key, Side] = {}
@@ -54,22 +64,31 @@ class KeptTraces:
         """These tiles are to come: pairs of blocks of points, or all pairs of one where the second is None. What
         others would need is dropped."""
         blocks = [(a, a if b is None else b) for a, b in tiles]
-        self._coming = {frozenset((_key(a), _key(b))) for a, b in blocks}
-        self._points = {_key(p): p for pair in blocks for p in pair}
-        self._sides = {k: side for k, side in self._sides.items() if k in self._points}
-        self._walks = {k: walks for k, walks in self._walks.items() if k in self._points}
+        self._coming = {frozenset((a.tobytes(), b.tobytes())) for a, b in blocks}
+        self._points = {p.tobytes(): p for pair in blocks for p in pair}
         self._parts = {k: t for k, t in self._parts.items() if frozenset(k) in self._coming}
+        sides, self._sides = self._sides, {}
+        for key, side in sides.items():
+            if key in self._points and self._fit({*self._sides, key}):
+                self._sides[key] = side
+        needed = {own for own, _ in self._parts} & self._sides.keys()
+        self._walks = {k: walks for k, walks in self._walks.items() if k in needed}
+        self._parts = {k: table for k, table in self._parts.items() if k[0] in self._walks}
+
+    def _fit(self, blocks: set[_Key]) -> bool:
+        """Whether there is room for the sides and walks of these blocks."""
+        return SUBPATHS_ALONE * sum(len(self._points[k]) for k in blocks) <= self._room
 
     def side(self, points: np.ndarray) -> Side:
         """The side of a block, the same one in all tiles."""
-        key = _key(points)
+        key = points.tobytes()
         if key not in self._sides:
             self._sides[key] = make_side(self.model, points)
         return self._sides[key]
 
     def trace(self, own: np.ndarray, other: np.ndarray, trace: TraceSide, add: Add) -> Walks:
         """The walks of a block, whose deposits at the points of another `add` gets; `trace` traces them."""
-        key, wanted = _key(own), _key(other)
+        key, wanted = own.tobytes(), other.tobytes()
         found = self._parts.pop((key, wanted), None)
         if found is not None:
             add(slice(0, len(own)), found)
@@ -91,11 +110,12 @@ class KeptTraces:
 
     def _room_for(self, key: _Key, wanted: _Key) -> list[_Key]:
         """Blocks beside the one that is `wanted` with which a block is still to be paired, with room for them."""
+        fits = self._fit({key, *self._walks})  # so that its walks will be kept
         partners = [k for k in self._points if frozenset((key, k)) in self._coming and k != wanted]
         later = [k for k in partners if (key, k) not in self._parts]
         done = []
         for k in later:
-            part = self._empty(len(self._points[key]), len(self._points[k]))
+            part = self._empty(len(self._points[key]), len(self._points[k])) if fits else None
             if part is None:
                 _log.info("No room to keep what subpaths leave: points are traced again for other tiles")
                 break
@@ -109,18 +129,19 @@ class KeptTraces:
         table = rows, columns, len(model.time_edges) - 1, CHANNELS, bands
         shapes = table, table, (rows, columns, batch_rows(model), model.windows, bands)
         size = 4.0 * sum(float(np.prod(shape, dtype=float)) for shape in shapes)
-        held = sum(
-            table.nbytes
-            for part in self._parts.values()
-            for table in part
-            if not isinstance(table, np.memmap)
-        )
+        tables = chain(*self._parts.values())
+        held = sum(table.nbytes for table in tables if not isinstance(table, np.memmap))
         if held + size <= self._memory:
             return Tables(*(np.empty(shape, np.float32) for shape in shapes))
         if self._folder is None or not _SPARE * size <= shutil.disk_usage(self._folder).free:
             return None
-        return Tables(*(self._on_disk(shape) for shape in shapes))
+        try:
+            return Tables(*(self._on_disk(shape) for shape in shapes))
+        except OSError as error:  # others write there, too, or there is a quota
+            _log.info("%s: %s", self._folder, error)
+            return None
 
     def _on_disk(self, shape: tuple[int, ...]) -> np.ndarray:
         with tempfile.TemporaryFile(dir=self._folder) as file:
+            reserve(file.fileno(), 4 * math.prod(shape))
             return np.memmap(file, np.float32, "w+", shape=shape)

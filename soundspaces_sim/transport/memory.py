@@ -18,7 +18,7 @@ from soundspaces_sim.transport.tables import BATCHES, CHANNELS, count_rows
 from soundspaces_sim.transport.tile import batch_rows
 
 _SUBPATHS = 6e6  # bytes that a point's subpaths leave, measured (docs/clusters.md)
-_SUBPATHS_ALONE = 3e6  # the same, without the discrete paths of its pairs, which take …
+SUBPATHS_ALONE = 3e6  # the same, without the discrete paths of its pairs, which take …
 _PATHS = 1.6e4  # … so many a pair while they are put in order, measured in the demo
 _SINGLE, _DOUBLE = 4, 8  # bytes of a number
 _MAKING = 6  # matrices in double precision while a convolution is made, of half as many rows as steps
@@ -46,7 +46,7 @@ def tile_memory(model: Model, threads: int, same: bool = False) -> TileMemory:
     """What a tile of a model takes where `threads` threads work at it; `same`: of all pairs of one side, with one
     table and one way of transfer, and the histograms of either end of its points."""
     bins, bands = len(model.time_edges) - 1, model.world.air.shape[1]
-    ways, subpaths = (1, 0.5 * _SUBPATHS_ALONE) if same else (2, _SUBPATHS)
+    ways, subpaths = (1, 0.5 * SUBPATHS_ALONE) if same else (2, _SUBPATHS)
     table = _SINGLE * CHANNELS * bins * bands
     point, pair = subpaths + 2.0 * threads * table, ways * table + 3.0 * _SINGLE * bins * bands
     pair += _PATHS if same else 0.0

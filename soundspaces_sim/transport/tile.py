@@ -61,9 +61,8 @@ class Tile:
         """(n, 2) rows of a and b; each pair of one side once."""
         shape = self.distance.shape
         chosen = np.tri(shape[0], dtype=bool).T if self.same else np.ones(shape, bool)
-        return np.ascontiguousarray(
-            np.argwhere(chosen)
-        )  # the layout of one pair, for one version of kernels
+        # The layout of one pair, for one version of kernels.
+        return np.ascontiguousarray(np.argwhere(chosen))
 
 
 class Sums(NamedTuple):

@@ -218,6 +218,33 @@ def test_attributes_that_cannot_be(folder: Path, name: str, value: object) -> No
     _refused(folder, r"attribute|format|version|cannot be|something else")
 
 
+def test_a_shard_of_other_bands(folder: Path) -> None:
+    with h5py.File(_shard(folder), "r+") as file:
+        file["band_edges"][1] += 1.0
+    _refused(folder, "has bands at .* Hz, the manifest at")
+
+
+def test_names_of_groups_that_are_nested_without_end(folder: Path) -> None:
+    with h5py.File(_shard(folder), "r+") as file:
+        file.attrs["group_names"] = "[" * 10**5
+    _refused(folder, "'group_names' is no list")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [("[" * 10**5, "nested too deeply"), ("[0, 0, NaN]", "not valid JSON"), ("{}", "cannot be read"), ("7", "cannot be read"),
+     ('[0, 0, {"walks": "many"}]', "cannot be read"), ('[0, 0, {"duration": 1%s}]' % ("0" * 400), "cannot be read|JSON"),
+     ('[0, 0, {"novelty": 1}]', "novelty")],
+    ids=["nested", "NaN", "object", "number", "text", "long number", "another version"],
+)  # fmt: skip
+def test_settings_of_rooms_that_cannot_be(folder: Path, settings: str, words: str) -> None:
+    assert ss.read_room(_shard(folder))
+    with h5py.File(_shard(folder), "r+") as file:
+        file.attrs["config"] = settings
+    with pytest.raises(ss.DatasetError, match=words):
+        ss.read_room(_shard(folder))
+
+
 def test_a_shard_under_another_name(folder: Path) -> None:
     """An entry that names another shard returned another pair's data."""
     first, second = (folder / e.file for e in read_manifest(folder).shards[:2])

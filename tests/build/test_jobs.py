@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,6 +130,29 @@ def test_a_job_of_another_version_is_refused(started: Path, monkeypatch: pytest.
     monkeypatch.setattr(job_file, "__version__", "99.0")
     job_file._read.cache_clear()
     with pytest.raises(ss.DatasetError, match="need the same"):
+        run_tile(started, 0)
+
+
+@pytest.mark.parametrize(
+    ("plan", "words"),
+    [
+        ({"code_version": "99.0", "novelty": 1}, r"version 99\.0 of soundspaces_sim planned this job"),
+        ({"target": "toaster", "novelty": 1}, "on another machine .code for toaster"),
+        ({"novelty": 1}, "not a job of this version .*novelty"),
+        ('{"novelty": ' + "[" * 10**5, "not a job of this version"),
+    ],
+    ids=["version", "machine", "form", "nested"],
+)
+def test_a_plan_of_another_form_is_refused_by_name(started: Path, plan: Any, words: str) -> None:
+    """Whatever another version has put in it, or left out of the file."""
+    with np.load(started / job_file.NAME, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    del arrays["digest"], arrays["mounting"]
+    if not isinstance(plan, str):
+        plan = json.dumps(json.loads(arrays["plan"].tobytes()) | plan)
+    arrays["plan"] = np.frombuffer(plan.encode(), np.uint8)
+    np.savez(started / job_file.NAME, **arrays, digest=np.array(job_file._digest(arrays)))
+    with pytest.raises(ss.DatasetError, match=words):
         run_tile(started, 0)
 
 

@@ -43,7 +43,7 @@ sys.meta_path.insert(0, Own())
 for name in Own.NAMES:
     sys.modules.pop(name, None)
 for name in ("register_at_fork", "geteuid", "getuid", "sysconf", "sync", "O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK",
-             "O_DIRECTORY", "sched_getaffinity", "fork", "killpg", "setsid"):
+             "O_DIRECTORY", "posix_fallocate", "sched_getaffinity", "fork", "killpg", "setsid"):
     if hasattr(os, name):
         delattr(os, name)
 stand_in = types.ModuleType("msvcrt")
@@ -77,6 +77,7 @@ try:
 except ss.DatasetError as error:
     assert "symbolic link" in str(error), error
 with platforms.exclusive(folder / "part") as file:
+    platforms.reserve(file.fileno(), 10**6)
     file.write(b"xyz")
     platforms.rename_open(file, folder / "part", folder / "whole")
 assert (folder / "whole").read_bytes() == b"xyz" and locked == [1, 0], locked
@@ -116,6 +117,13 @@ def test_what_systems_lack_is_imported_in_one_place_alone() -> None:
     for path in (ROOT / "soundspaces_sim").rglob("*.py"):
         found = re.findall(rf"^\s*(?:import|from) (?:{own})\b", path.read_text("utf-8"), re.MULTILINE)
         assert not found, (path, found)
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="this system cannot be asked to")
+def test_room_on_the_disk_is_set_aside(tmp_path: Path) -> None:
+    with open(tmp_path / "table", "wb") as file:
+        platforms.reserve(file.fileno(), 10**6)
+        assert 512 * os.fstat(file.fileno()).st_blocks >= 10**6
 
 
 def test_a_lock_of_windows_is_waited_for() -> None:

@@ -1,11 +1,17 @@
 """Room measures of decays that are known in closed form."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.core.errors import ConfigError
+from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
+from soundspaces_sim.echogram import measures
+from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.measures import (
+    echograms_measures,
     energy_measures,
     room_measures,
     waveform_measures,
@@ -105,3 +111,71 @@ def test_waveform_measures_of_an_exact_decay() -> None:
     np.testing.assert_allclose(m.t30[1:], reverb, rtol=0.01)
     with pytest.raises(ConfigError, match="shape"):
         waveform_measures(np.zeros((2, 5)), rate)
+
+
+def _echograms(energy: np.ndarray, direct: np.ndarray, length: np.ndarray, early: int = 0) -> Echograms:
+    """Of (S, L, bins, 4) energies in bins of 1 ms, and so many early arrivals of each pair."""
+    rng, shape, pairs = np.random.default_rng(1), energy.shape[:2], energy[:, :, 0, 0].size
+    table = np.zeros((*energy.shape[:3], 9, 4), np.float32)
+    table[:, :, :, 0] = energy
+    arrivals = Arrivals(
+        rng.uniform(0.01, 0.05, pairs * early),
+        rng.uniform(0.0, 1.0, (pairs * early, 4)),
+        np.zeros((pairs * early, 3)),
+        np.full((pairs * early, 2), -1),
+    )
+    return Echograms(
+        DEFAULT_BANDS, 343.0, np.zeros((shape[0], 3)), np.ones((shape[1], 3)), np.arange(energy.shape[2] + 1) * 0.001,
+        table, direct, length, np.zeros(shape, np.int64), np.arange(pairs + 1) * early, arrivals,
+        np.zeros((*shape, 2, 4)),
+    )  # fmt: skip
+
+
+def _measured(echoes: Echograms) -> tuple[dict[str, np.ndarray], int]:
+    """Measures, and the bytes that they took at most."""
+    tracemalloc.start()
+    try:
+        return echograms_measures(echoes), tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_listeners_are_taken_some_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bits are the same, and memory does not grow with their number."""
+    rng, shape = np.random.default_rng(0), (3, 40)
+    falling = np.exp(-30.0 * np.arange(400) * 0.001)[:, None]
+    direct = rng.uniform(0.0, 5.0, (*shape, 4)) * (rng.uniform(size=shape) < 0.7)[:, :, None]
+    energy = rng.gamma(4.0, size=(*shape, 400, 4)) * falling
+    echoes = _echograms(energy, direct, rng.uniform(1.0, 9.0, shape), 3)
+    whole, most = _measured(echoes)
+    assert np.isfinite(whole["t20"]).all()
+    for some in (1, 7):
+        monkeypatch.setattr(measures, "_AT_ONCE", some * 401 * 4)
+        found, less = _measured(echoes)
+        assert found.keys() == whole.keys() and less < 0.5 * most
+        for name, values in whole.items():
+            np.testing.assert_array_equal(found[name], values)
+
+
+def test_a_delay_that_is_rounded_below_a_bin_is_in_it() -> None:
+    """Direct sound of 1 after 30 ms, and .2 from 60 to 100 ms: both ways of measuring begin with it."""
+    energy = np.zeros((1, 1, 400, 4))
+    energy[:, :, 60:100] = 0.005
+    for rounded in (0.0, 1e-15, 1e-13):
+        length = np.full((1, 1), 343.0 * 0.03 * (1.0 - rounded))
+        echoes = _echograms(energy, np.ones((1, 1, 4)), length)
+        single, table = room_measures(echoes[0, 0]), echograms_measures(echoes)
+        np.testing.assert_allclose(single.drr, 10.0 * np.log10(1.0 / 0.2), atol=1e-5)
+        np.testing.assert_allclose(single.d50, 1.1 / 1.2, atol=1e-5)
+        for name in ("drr", "d50", "c50", "ts", "edt"):
+            np.testing.assert_allclose(table[name][0, 0], getattr(single, name), rtol=1e-6)
+
+
+@pytest.mark.parametrize("rounded", [0.0, 1e-15, 1e-13, -1e-13])
+def test_direct_sound_that_comes_last_on_a_whole_millisecond(rounded: float) -> None:
+    length = np.full((1, 1), 343.0 * 0.03 * (1.0 - rounded))
+    echoes = _echograms(np.zeros((1, 1, 20, 4)), np.ones((1, 1, 4)), length)
+    found = room_measures(echoes[0, 0])
+    np.testing.assert_array_equal(found.d50, 1.0)
+    np.testing.assert_array_equal(found.d50, echograms_measures(echoes)["d50"][0, 0])
+    assert np.isnan(found.t20).all()

@@ -102,7 +102,9 @@ def test_small_triangles_have_edges_however_they_are_turned() -> None:
     """Sides of 3 to 5 cm, of a block and a room that stand aslant, lie on their lines."""
     turn = Rotation.from_euler("zyx", [30.0, 17.0, 8.0], degrees=True)
     scene = _in_box(*_cuboid([2.0, 2.0, 0.8], [3.1, 2.7, 1.9], 24))
-    aslant = ss.Scene(scene.vertices @ turn.as_matrix().T, scene.faces, scene.face_material, scene.materials)
+    aslant = ss.Scene(
+        scene.vertices @ turn.as_matrix().T, scene.faces, scene.face_material, scene.materials
+    )
     expected, found = find_wedges(scene), find_wedges(aslant)
     np.testing.assert_allclose(np.sort(found.length), np.sort(expected.length), atol=1e-6)
     np.testing.assert_allclose(np.sort(found.n), np.sort(expected.n), atol=1e-6)

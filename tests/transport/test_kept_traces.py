@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from soundspaces_sim.build.tile import run_tile
 from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.transport import integrator
 from soundspaces_sim.transport.kept_traces import MEMORY, KeptTraces
+from soundspaces_sim.transport.memory import SUBPATHS_ALONE
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
@@ -66,6 +69,17 @@ def alone(model: Model) -> dict[tuple[int, int], list[Any]]:
     return _all(model, TILES, None)
 
 
+def _are_the_same(
+    found: dict[tuple[int, int], list[Any]], alone: dict[tuple[int, int], list[Any]]
+) -> None:
+    for tile, echoes in alone.items():
+        for expected, got in zip(echoes, found[tile], strict=True):
+            np.testing.assert_array_equal(got.energy, expected.energy)
+            np.testing.assert_array_equal(got.relative_error, expected.relative_error)
+            np.testing.assert_array_equal(got.measure_error, expected.measure_error)
+            np.testing.assert_array_equal(got.early.energy, expected.early.energy)
+
+
 @pytest.mark.parametrize(
     ("memory", "on_disk", "points"),
     [(MEMORY, False, 7), (0.0, True, 7), (2e6, True, 7), (0.0, False, 3 * 7)],
@@ -88,12 +102,44 @@ def test_every_point_is_traced_once_and_bits_stay(
     found = _all(model, order, kept)
     assert sum(traced) == points
     assert not list(tmp_path.iterdir()) and not kept._parts
-    for tile, echoes in alone.items():
-        for expected, got in zip(echoes, found[tile], strict=True):
-            np.testing.assert_array_equal(got.energy, expected.energy)
-            np.testing.assert_array_equal(got.relative_error, expected.relative_error)
-            np.testing.assert_array_equal(got.measure_error, expected.measure_error)
-            np.testing.assert_array_equal(got.early.energy, expected.early.energy)
+    _are_the_same(found, alone)
+
+
+@pytest.mark.parametrize(("points", "least", "most"), [(0, 21, 21), (3, 8, 20), (1000, 7, 7)])
+def test_sides_and_walks_are_kept_within_a_limit(
+    model: Model,
+    alone: dict[tuple[int, int], list[Any]],
+    traced: list[int],
+    points: int,
+    least: int,
+    most: int,
+) -> None:
+    """With room for nothing every point is traced for each tile that it is in, with room for all once; with room
+    for one block, something in between."""
+    kept = KeptTraces(model, walks=points * SUBPATHS_ALONE)
+    _are_the_same(_all(model, TILES, kept), alone)
+    assert least <= sum(traced) <= most
+    assert sum(len(side.given) for side in kept._sides.values()) <= max(points, 3 + 2)
+
+
+def test_a_disk_that_has_less_room_than_it_said(
+    model: Model,
+    alone: dict[tuple[int, int], list[Any]],
+    traced: list[int],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Room is asked for before a file is mapped; without, points are traced again."""
+
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    caplog.set_level("INFO", "soundspaces_sim")
+    _are_the_same(_all(model, TILES, KeptTraces(model, tmp_path, 0.0)), alone)
+    assert sum(traced) == 3 * 7 and not list(tmp_path.iterdir())
+    assert os.strerror(errno.ENOSPC) in caplog.text and "traced again" in caplog.text
 
 
 @ci_slow  # tests/build/test_square.py compares such bytes too

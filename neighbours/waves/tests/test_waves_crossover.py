@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from itertools import product
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
@@ -115,6 +118,24 @@ def test_runs_are_kept_and_reciprocal() -> None:
     np.testing.assert_array_equal(back.low, whole.low[3:, :3])
     np.testing.assert_array_equal(own.low, whole.low[:3, :3])
     np.testing.assert_array_equal(whole.low[:, :, 0], whole.low[:, :, 0].transpose(1, 0, 2))
+
+
+def test_where_the_disk_is_full_points_are_run_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Room is asked for before a file is mapped."""
+    room, points, config = _room()
+    model = make_model(room, points, config)
+
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("soundspaces_waves.pairs.MEMORY", 0.0)
+    assert isinstance(WaveRuns(model, points, tmp_path)._table, np.memmap)
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    caplog.set_level("INFO")
+    assert WaveRuns(model, points, tmp_path)._table is None and not list(tmp_path.iterdir())
+    assert os.strerror(errno.ENOSPC) in caplog.text and "run again" in caplog.text
 
 
 def test_pressures_that_are_not_reciprocal_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,12 +38,8 @@ def count_fields(echoes: Echograms) -> tuple[str, _Fields, _Fields]:
         counts = ReflectionCounts(groups, time, mean, mean, mean, mean)
     groups, mean = counts.groups, np.asarray(counts.mean, float)
     peak = mean.max(axis=2, initial=0.0).astype(np.float32)
-    ratio = np.divide(
-        mean,
-        peak[:, :, None],
-        out=np.zeros_like(mean),
-        where=np.broadcast_to(peak[:, :, None] > 0.0, mean.shape),
-    )
+    some = np.broadcast_to(peak[:, :, None] > 0.0, mean.shape)
+    ratio = np.divide(mean, peak[:, :, None], out=np.zeros_like(mean), where=some)
     return (
         json.dumps(groups.names),
         {
@@ -74,10 +70,8 @@ class StoredCounts:
     def __init__(self, shard: Shard) -> None:
         self._shard = shard
         names, bands = self._names(), len(shard.bands) - 1
-        columns = (
-            shard.read(name) for name in ("group_share", "group_absorption", "group_transmission")
-        )
-        share, absorption, transmission = columns
+        share, absorption = shard.read("group_share"), shard.read("group_absorption")
+        transmission = shard.read("group_transmission")
         anchor = self._anchors(absorption, transmission)
         groups = MaterialGroups(tuple(names), share, absorption, transmission, anchor)
         for name, values in (("absorption", groups.absorption), ("transmission", groups.transmission)):
@@ -93,7 +87,7 @@ class StoredCounts:
         """The names of groups. Raises `DatasetError`."""
         try:
             names = json.loads(str(self._shard.attribute("group_names")))
-        except ValueError:
+        except (ValueError, RecursionError):
             names = None
         right = isinstance(names, list) and all(isinstance(n, str) for n in names)
         if not right or len(set(names)) != len(names) or len(names) > _MOST_GROUPS:

@@ -15,6 +15,9 @@ from soundspaces_sim.dataset.format.schema import REBUILD
 from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.echogram.echogram import KINDS, Arrivals, Echogram, direct_arrival
 
+#: Of arrivals: the first of each pair, columns of real numbers, columns of whole ones.
+_EARLY = "start", "delay", "energy", "direction", "planes", "kind", "edges", "groups"
+
 
 class EchogramShard(Shard):
     """An open echogram shard. `air`: see `Echogram`; the manifest knows it."""
@@ -32,21 +35,8 @@ class EchogramShard(Shard):
             )
         codes = np.arange(256.0)
         self.level = np.where(codes > 0.0, 10.0 ** ((codes - 255.0) * step / 10.0), 0.0)
-        self._table = {
-            name: self.read(name)
-            for name in (
-                "energy_peak",
-                "direct_energy",
-                "early_start",
-                "early_delay",
-                "early_energy",
-                "early_direction",
-                "early_planes",
-                "early_kind",
-                "early_edges",
-                "early_groups",
-            )
-        }
+        self._table = {name: self.read(name) for name in ("energy_peak", "direct_energy")}
+        self._table |= {f"early_{name}": self.read(f"early_{name}") for name in _EARLY}
         if self.version < 8:  # it has room for two reflections
             groups = self._table["early_groups"]
             self._table["early_groups"] = np.pad(groups, ((0, 0), (0, 1)), constant_values=-1)
@@ -60,9 +50,8 @@ class EchogramShard(Shard):
 
     def _check_arrivals(self) -> None:
         t, edges = self._table, self.time_edges
-        self.require(
-            np.isfinite(edges) & (edges >= 0.0) & (edges <= LONGEST), "time_edges", f"0 to {LONGEST:g} s"
-        )
+        within = np.isfinite(edges) & (edges >= 0.0) & (edges <= LONGEST)
+        self.require(within, "time_edges", f"0 to {LONGEST:g} s")
         self.require((np.diff(edges) > 0.0) & (len(edges) > 1), "time_edges", "rising times")
         for name in ("energy_peak", "direct_energy"):
             self.require_energies(name, t[name])
@@ -76,9 +65,8 @@ class EchogramShard(Shard):
         ok = (t["early_groups"] >= -1) & (t["early_groups"] < most)
         self.require(ok, "early_groups", f"-1 to {most - 1}")
         self.require(np.abs(t["early_direction"]) <= 1.001, "early_direction", "unit vectors")
-        self.require(
-            self.latest <= LONGEST, "source_position", f"sound that arrives within {LONGEST:g} s"
-        )
+        expected = f"sound that arrives within {LONGEST:g} s"
+        self.require(self.latest <= LONGEST, "source_position", expected)
 
     @property
     def energy_peak(self) -> np.ndarray:
@@ -117,21 +105,12 @@ class EchogramShard(Shard):
         ratio = self.read("moments", (s, l)).transpose(0, 2, 1)
         np.multiply(ratio, (energy / np.float32(127.0))[:, None], out=table[:, 1:])
         offset = self.sources[s] - self.listeners[l]
-        direct = direct_arrival(
-            offset,
-            float(np.linalg.norm(offset)),
-            t["direct_energy"][s, l].astype(float),
-            self.speed_of_sound,
-        )
+        distance, of_direct = float(np.linalg.norm(offset)), t["direct_energy"][s, l].astype(float)
+        direct = direct_arrival(offset, distance, of_direct, self.speed_of_sound)
         pair = s * len(self.listeners) + l
         rows = slice(int(t["early_start"][pair]), int(t["early_start"][pair + 1]))
-        early = Arrivals(
-            t["early_delay"][rows],
-            t["early_energy"][rows].astype(float),
-            t["early_direction"][rows].astype(float),
-            t["early_planes"][rows].astype(np.int64),
-            *(t[name][rows].astype(np.int64) for name in ("early_kind", "early_edges", "early_groups")),
-        )
+        reals = (t[f"early_{name}"][rows].astype(float) for name in _EARLY[1:4])
+        early = Arrivals(*reals, *(t[f"early_{name}"][rows].astype(np.int64) for name in _EARLY[4:]))
         return Echogram(
             self.bands,
             self.time_edges,

@@ -5,6 +5,7 @@ What both forms share: opening a file, and reading it with errors a user underst
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +35,10 @@ class Shard:
             self.key = str(self.attribute("key"))
             self.bands = tuple(float(e) for e in self.read("band_edges"))
             self.sources, self.source_index = self.read("source_position"), self.read("source_index")
-            self.listeners, self.listener_index = (
-                self.read("listener_position"),
-                self.read("listener_index"),
-            )
-            self.pairs = {
-                name: self.read(name)
-                for name in ("status", "walls", "relative_error", "measure_error", "geodesic", *MEASURES)
-            }
+            self.listeners = self.read("listener_position")
+            self.listener_index = self.read("listener_index")
+            names = "status", "walls", "relative_error", "measure_error", "geodesic", *MEASURES
+            self.pairs = {name: self.read(name) for name in names}
             self._check_values()
         except BaseException:
             self.file.close()
@@ -83,8 +80,9 @@ class Shard:
             self.require(~(self.pairs[name] < 0.0), name, "none negative")
         self.require(~(self.pairs["geodesic"] < 0.0), "geodesic", "none negative")
 
-    def check_identity(self, entry: ShardEntry, points: np.ndarray) -> None:
-        """Raise `DatasetError` unless this is the shard that an entry of a manifest names, of points (N, 3)."""
+    def check_identity(self, entry: ShardEntry, points: np.ndarray, bands: Sequence[float]) -> None:
+        """Raise `DatasetError` unless this is the shard that an entry of a manifest names, of points (N, 3) and
+        `bands`."""
         ends = (
             ("source", entry.sources, self.source_index, self.sources),
             ("listener", entry.listeners, self.listener_index, self.listeners),
@@ -99,6 +97,10 @@ class Shard:
                 raise DatasetError(
                     f"{self.where}: its {end}s stand elsewhere than the manifest's points; {REBUILD}"
                 )
+        if self.bands != tuple(bands):
+            raise DatasetError(
+                f"{self.where}: has bands at {self.bands} Hz, the manifest at {tuple(bands)}; {REBUILD}"
+            )
         if entry.key and self.key != entry.key:
             raise DatasetError(
                 f"{self.where}: made from something else (key {self.key[:12]}, expected {entry.key[:12]}); "

@@ -63,19 +63,11 @@ _PER_BAND = (
 _PER_PAIR = {
     "source": ("i4", "", "row of the dataset's points"),
     "listener": ("i4", "", "row of the dataset's points"),
-    **{
-        f"{end}_{axis}": ("f8", "m", "position")
-        for end in ("source", "listener")
-        for axis in ("x", "y", "z")
-    },
+    **{f"{end}_{axis}": ("f8", "m", "position") for end in ("source", "listener") for axis in "xyz"},
     "distance": ("f4", "m", "straight line between the points"),
     "geodesic": ("f4", "m", schema("echogram")["datasets"]["geodesic"]["description"]),
     "visible": ("?", "", "nothing stands between the points"),
-    "collocated": (
-        "?",
-        "",
-        "source and listener are the same point; the direct sound is that of 5 cm",
-    ),
+    "collocated": ("?", "", "source and listener are the same point; the direct sound is that of 5 cm"),
     "status": ("u1", "", schema("echogram")["datasets"]["status"]["description"]),
 }
 
@@ -149,10 +141,7 @@ def as_frame(table: np.ndarray, columns: Metadata) -> pandas.DataFrame:
 
 
 def write_table(
-    table: np.ndarray,
-    path: str | Path,
-    columns: Metadata,
-    key: Sequence[str] = ("source", "listener"),
+    table: np.ndarray, path: str | Path, columns: Metadata, key: Sequence[str] = ("source", "listener")
 ) -> list[Path]:
     """Write a table, and what its columns mean; the files written.
 

@@ -53,7 +53,7 @@ def verify_dataset(folder: str | Path, full: bool = False) -> tuple[Manifest, li
                 if isinstance(entry, ShardEntry):
                     shard = (EchogramShard if entry.form == "echogram" else WaveformShard)(path)
                     try:
-                        shard.check_identity(entry, points)
+                        shard.check_identity(entry, points, manifest.config.simulation.bands)
                         what = failed_pairs(shard)
                     finally:
                         shard.close()
@@ -75,11 +75,8 @@ def not_compared(folder: str | Path) -> list[str]:
 
 def unnamed(folder: Path, names: Container[str]) -> list[str]:
     """Files in a folder and those in it, by their paths there, without those of these paths."""
-    found = (
-        (Path(place) / file).relative_to(folder).as_posix()
-        for place, _, files in os.walk(folder)
-        for file in files
-    )
+    files = (Path(place) / name for place, _, inside in os.walk(folder) for name in inside)
+    found = (file.relative_to(folder).as_posix() for file in files)
     return sorted(name for name in found if name not in names)
 
 

@@ -28,9 +28,8 @@ class WaveformShard(Shard):
 
     def _check_samples(self) -> None:
         longest = self.file["ambisonic"].shape[-1]
-        self.require(
-            (self._length >= 0) & (self._length <= longest), "length", f"0 to {longest} samples"
-        )
+        within = (self._length >= 0) & (self._length <= longest)
+        self.require(within, "length", f"0 to {longest} samples")
         for name, scale in self._scale.items():
             self.require(np.isfinite(scale) & (scale > 0.0), f"{name}_scale", "positive numbers")
         self.require(np.isfinite(self.headings), "headings", "degrees")

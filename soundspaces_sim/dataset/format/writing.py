@@ -61,13 +61,12 @@ def _pair_fields(echoes: Echograms, geodesic: np.ndarray | None = None) -> dict[
     energy = echoes.energy[:, :, :, 0]
     silent = (energy.max(axis=(2, 3)) <= 0.0) & (echoes.direct_energy.max(axis=2) <= 0.0) & (counts == 0)
     measures = echograms_measures(echoes)
+    walked = np.full(echoes.shape, np.nan) if geodesic is None else geodesic
     return {
         "walls": np.minimum(echoes.walls, 65535).astype(np.uint16),
         "relative_error": _half(echoes.relative_error),
         "status": np.where(silent, SILENT, OK).astype(np.uint8),
-        "geodesic": np.asarray(
-            np.full(echoes.shape, np.nan) if geodesic is None else geodesic, np.float32
-        ),
+        "geodesic": np.asarray(walked, np.float32),
         **{name: values.astype(np.float32) for name, values in measures.items()},
         "measure_error": _measure_error(echoes),
     }

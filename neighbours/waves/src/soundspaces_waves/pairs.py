@@ -22,6 +22,7 @@ from soundspaces_sim.parts import (
     PreparedScene,
     free_memory,
     profile_stage as stage,
+    reserve_file,
     response_samples,
     thread_count,
 )
@@ -91,11 +92,15 @@ class WaveRuns:
         size = 4.0 * float(np.prod(shape, dtype=float))
         if size <= min(MEMORY, 0.5 * free_memory()):
             return np.empty(shape, np.float32)
-        if self._folder is None or not _SPARE * size <= shutil.disk_usage(self._folder).free:
-            _log.info("No room to keep what points hear of waves: sources are run again for other tiles")
-            return None
-        with tempfile.TemporaryFile(dir=self._folder) as file:
-            return np.memmap(file, np.float32, "w+", shape=shape)
+        if self._folder is not None and _SPARE * size <= shutil.disk_usage(self._folder).free:
+            try:
+                with tempfile.TemporaryFile(dir=self._folder) as file:
+                    reserve_file(file.fileno(), int(size))
+                    return np.memmap(file, np.float32, "w+", shape=shape)
+            except OSError as error:  # others write there, too, or there is a quota
+                _log.info("%s: %s", self._folder, error)
+        _log.info("No room to keep what points hear of waves: sources are run again for other tiles")
+        return None
 
     def responses(self, sources: np.ndarray, listeners: np.ndarray) -> np.ndarray:
         """(S, L, 4, n) float32 between (S, 3) and (L, 3) m, of the job's points if it has any. Raises `PointError`
