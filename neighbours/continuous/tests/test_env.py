@@ -16,6 +16,7 @@ from soundspaces_continuous.env import ContinuousNavEnv, ContinuousNavVectorEnv
 from soundspaces_continuous.map_page import _page
 from soundspaces_continuous.savnce import savnce_options, savnce_own_sensors
 from soundspaces_continuous.sensor_suite import interaural
+from soundspaces_continuous.world import ContinuousWorld
 
 import soundspaces_sim.nav as nav
 from neighbours.continuous.tests.twin import BLOCK, RATE, Twin, below
@@ -230,6 +231,23 @@ def test_a_moving_goal_comes_nearer(data: nav.NavData) -> None:
     for _ in range(2):
         env.step(2)
     assert env.state.distance == pytest.approx(1.0)
+
+
+def test_a_moving_goal_stays_on_its_floor(data: nav.NavData, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Point 3 is above a table: no goal goes over it."""
+    floor_of = ContinuousWorld.floor_of
+
+    def raised(self: ContinuousWorld, point: int) -> Any:
+        return self.floor_at(0.7) if point == 3 else floor_of(self, point)
+
+    monkeypatch.setattr(ContinuousWorld, "floor_of", raised)
+    env, routes = make(data, rules=continuous.Rules(min_distance=1.0, speed=1.0)), []
+    for seed in range(30):
+        env.reset(seed=seed)
+        assert env.state is not None
+        routes.append(env.state.episode.goals[0].route)
+    assert any(len(route) > 2 for route in routes)
+    assert not any(3 in route for route in routes)
 
 
 def test_noise_has_its_level(data: nav.NavData) -> None:

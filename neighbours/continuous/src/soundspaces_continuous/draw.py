@@ -43,6 +43,8 @@ def draw_episode(
         points = [int(n) for n in rng.choice(nodes, count, replace=False)]
         floor = world.floor_of(points[0])
         standing = world.standing(floor)
+        if not len(standing):  # a table, too small for an agent
+            continue
         x, y = (float(v) for v in standing[int(rng.integers(len(standing)))])
         heading = float(rng.uniform(0.0, 360.0))
         sources, onset = [], _uniform(rng, rules.onset)
