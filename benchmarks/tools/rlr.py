@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import json
+import sys
 import tempfile
 from pathlib import Path
 from types import ModuleType
@@ -28,7 +29,12 @@ def genuine() -> ModuleType:
         raise UnavailableError(
             f"rlr_audio_propagation {version} is this package's own; it needs the genuine 0.0.1"
         )
-    return importlib.import_module("rlr_audio_propagation")
+    module = importlib.import_module("rlr_audio_propagation")
+    if "soundspaces_rlr" in sys.modules:  # which ours imports: it may be found by PYTHONPATH first
+        raise UnavailableError(
+            f"{module.__file__} is this package's own rlr_audio_propagation; it needs the genuine 0.0.1"
+        )
+    return module
 
 
 def materials(scene: ss.Scene) -> dict[str, object]:
