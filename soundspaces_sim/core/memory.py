@@ -9,8 +9,13 @@ from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.platforms import machine_memory
 
 _GROUPS = (  # files of control groups, version 2 and 1: limit, use, and of that, what can be taken back
-    "memory.max memory.current memory.stat inactive_file".split(),
-    "memory/memory.limit_in_bytes memory/memory.usage_in_bytes memory/memory.stat total_inactive_file".split(),
+    ("memory.max", "memory.current", "memory.stat", "inactive_file"),
+    (
+        "memory/memory.limit_in_bytes",
+        "memory/memory.usage_in_bytes",
+        "memory/memory.stat",
+        "total_inactive_file",
+    ),
 )
 
 

@@ -67,12 +67,12 @@ class KeptTraces:
         self._coming = {frozenset((a.tobytes(), b.tobytes())) for a, b in blocks}
         self._points = {p.tobytes(): p for pair in blocks for p in pair}
         self._parts = {k: t for k, t in self._parts.items() if frozenset(k) in self._coming}
+        needed = {own for own, _ in self._parts}  # with what they have left for others
         sides, self._sides = self._sides, {}
-        for key, side in sides.items():
+        for key, side in sorted(sides.items(), key=lambda kept: kept[0] not in needed):
             if key in self._points and self._fit({*self._sides, key}):
                 self._sides[key] = side
-        needed = {own for own, _ in self._parts} & self._sides.keys()
-        self._walks = {k: walks for k, walks in self._walks.items() if k in needed}
+        self._walks = {k: w for k, w in self._walks.items() if k in needed & self._sides.keys()}
         self._parts = {k: table for k, table in self._parts.items() if k[0] in self._walks}
 
     def _fit(self, blocks: set[_Key]) -> bool:

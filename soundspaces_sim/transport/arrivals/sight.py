@@ -149,8 +149,8 @@ def find_sequences(view: View, points: np.ndarray) -> Sequences:
 
 @part
 def meets(sequences: Sequences, i: int, one: int, two: int) -> bool:
-    """Whether rays from a point meet plane `one` and then `two`, or with the number of planes, nothing that matters
-    then."""
+    """Whether rays from a point meet plane `one` and then `two`; `one` alone where `two` is how many planes there
+    are."""
     low, high = sequences.start[i], sequences.start[i + 1]
     while low < high:
         middle = (low + high) // 2
