@@ -44,9 +44,11 @@ def _same(a: ss.Echogram, b: ss.Echogram) -> None:
         np.testing.assert_array_equal(x.direction, y.direction)
 
 
-def test_threads_do_not_matter(everything: ss.Echograms) -> None:
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_do_not_matter(everything: ss.Echograms, threads: int) -> None:
+    """Three do not share batches evenly."""
     before = thread_count()
-    set_thread_count(3 if before == 1 else 1)
+    set_thread_count(threads)
     try:
         others = ss.simulate(two_rooms(MIXED, 1), POINTS, POINTS, CONFIG)
     finally:

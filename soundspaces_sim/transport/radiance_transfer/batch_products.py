@@ -99,7 +99,7 @@ def add_all_products(windows: WindowSteps, a: ByBatch, b: ByBatch, out: Products
         add_both_ways(windows, of_a, of_b, out.within[band])
 
     def batches(band: int, first: int) -> None:
-        some = slice(first, first + together)
+        some = slice(first, min(first + together, BATCHES))
         of_a = a.both[band, :, some]
         of_b = of_a if same else b.both[band, :, some]
         add_both_ways(windows, of_a, of_b, out.raised[band, some])
