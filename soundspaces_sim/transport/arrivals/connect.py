@@ -109,7 +109,8 @@ class Scratch(NamedTuple):
     energy: np.ndarray  # (b,)
     heard: np.ndarray  # (b,) least |P|² of a wave that counts
     least: np.ndarray  # (b,) the same of the ends at hand, before what planes take
-    link: np.ndarray  # (n,) rows of the second end's links, by `Links` from the first end; -1 for none
+    seen: np.ndarray  # (w,) row of what an end sees, by wedge; -1 for none
+    link: np.ndarray  # (n,) row of its links, by row of `Links`; -1 for none
     double: DoubleWedgeScratch
     way: WayScratch
 
@@ -184,7 +185,12 @@ def _add_mirrors(context: Context, a: Sight, b: Sight, i: int, j: int, scratch: 
 def _add_mirror(context: Context, met: tuple[int, int, int], p: Vec3, q: Vec3, scratch: Scratch) -> None:
     sight, energy = context.sight, scratch.energy
     a, b, c = met
-    end = beside_edge(sight.geometry, sight.planes, (a, b), p, q) if c < 0 <= b else q
+    end = q
+    if c < 0 <= b:
+        image = image_of(sight.planes, b, image_of(sight.planes, a, p))
+        if not reflection_point(sight.planes, b, image, q)[0]:
+            return
+        end = beside_edge(sight.geometry, sight.planes, (a, b), p, q)
     found, path = unfold(sight.planes, met, p, end)
     if not (found and on_planes(sight, path)):
         return
@@ -325,21 +331,26 @@ def _share_in(k: float, gap: _Gap) -> float:
 
 
 @part
+def _mark(seen: Seen, end: int, scratch: Scratch, there: bool) -> None:
+    """Set the rows of an end in the scratch, or take them away."""
+    for n in range(seen.start[end], seen.start[end + 1]):
+        scratch.seen[seen.wedge[n]] = n if there else -1
+    for n in range(seen.link_start[end], seen.link_start[end + 1]):
+        scratch.link[seen.link[n]] = n if there else -1
+
+
+@part
 def _add_singles(
     context: Context, a: Seen, b: Seen, ends: _Ends, least: _Least, scratch: Scratch
 ) -> None:
-    """Waves by every edge that both ends see."""
-    n, stop_n = a.start[ends.u], a.start[ends.u + 1]
-    m, stop_m = b.start[ends.v], b.start[ends.v + 1]
-    while n < stop_n and m < stop_m:
-        e, f = a.wedge[n], b.wedge[m]
-        if e == f and _single_may_be_heard(context, a, b, n, m, least, scratch.least):
+    """Waves by every edge that both ends see, of which the second is marked."""
+    for n in range(a.start[ends.u], a.start[ends.u + 1]):
+        m = scratch.seen[a.wedge[n]]
+        if m >= 0 and _single_may_be_heard(context, a, b, n, m, least, scratch.least):
             if _in_order(a, b, n, m):
                 _add_single(context, ends, (a, b), (n, m), scratch)
             else:
                 _add_single(context, ends, (b, a), (m, n), scratch)
-        n += e <= f
-        m += f <= e
 
 
 @part(forceinline=True)
@@ -553,18 +564,12 @@ def _is_above(first: float, second: float, scale: float, spectrum: Spectrum, lea
 def _add_doubles(
     context: Context, a: Seen, b: Seen, ends: _Ends, straight: float, scratch: Scratch
 ) -> None:
-    """Waves by two edges of one face."""
-    links, link = context.edges.links, scratch.link
-    begin, end = b.link_start[ends.v], b.link_start[ends.v + 1]
-    for m in range(begin, end):
-        link[links.reverse[b.link[m]]] = m
+    """Waves by two edges of one face; the second end is marked."""
     for n in range(a.link_start[ends.u], a.link_start[ends.u + 1]):
-        m = link[a.link[n]]
+        m = scratch.link[context.edges.links.reverse[a.link[n]]]
         if m >= 0 and _double_may_be_heard(context, a, b, n, m, straight, ends.lit, scratch.least):
             e, f = a.wedge[a.link_row[n]], b.wedge[b.link_row[m]]
             _add_double(context, ends, e, f, straight, scratch)
-    for m in range(begin, end):
-        link[links.reverse[b.link[m]]] = -1
 
 
 @part
@@ -691,12 +696,11 @@ def _add_edges(
     """Waves by edges: between both points, of either's images with the other point, and of both in one plane."""
     at_p, at_q, view, of_points = row(a.points, i), row(b.points, j), context.sight, True
     _set_heard(scratch, _HEARD)
-    for u in range(a.ends[i], a.ends[i + 1]):
-        for v in range(b.ends[j], b.ends[j + 1]):
+    for v in range(b.ends[j], b.ends[j + 1]):
+        _mark(b.seen, v, scratch, True)
+        for u in range(a.ends[i], a.ends[i + 1]):
             plane_p, plane_q = a.plane[u], b.plane[v]
             if min(plane_p, plane_q) >= 0 and plane_p != plane_q:
-                continue
-            if a.seen.start[u] == a.seen.start[u + 1] or b.seen.start[v] == b.seen.start[v + 1]:
                 continue
             plane, reached = max(plane_p, plane_q), lit
             if plane >= 0:
@@ -712,6 +716,7 @@ def _add_edges(
             _add_doubles(context, a.seen, b.seen, ends, distance(p.at, q.at), scratch)
             if plane < 0 and not lit:
                 _add_ways(context, a, b, i, j, ends, scratch)
+        _mark(b.seen, v, scratch, False)
 
 
 @part

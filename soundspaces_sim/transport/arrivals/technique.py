@@ -142,6 +142,7 @@ def context_of(
             energy=np.empty(bands),
             heard=np.empty(bands),
             least=np.empty(bands),
+            seen=np.full(len(edges.wedges.length), -1, np.int32),
             link=np.full(len(edges.links.wedge), -1, np.int32),
             double=make_double_wedge_scratch(len(spectrum.node)),
             way=make_way_scratch(),
