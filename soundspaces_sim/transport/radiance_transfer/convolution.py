@@ -18,11 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.transport.radiance_transfer.product_block import ROWS, WIDTH, set_block
 
 _MULTIPLICATIONS = 2**22  # for which it is worth to wake a thread
-_SLAB = 256  # pairs of points that are transformed back together
-_FEW = 8  # columns: fewer are not worth to be turned
-_WIDE = 16  # columns that a processor takes at once, of a few instructions
+_LINE = 16  # numbers of a cache line
+_SLAB = 8  # panels of pairs of points that are transformed back together
+_FEW = 20  # pairs: fewer are not worth a block
 
 
 def least_rows(multiplications: int) -> int:
@@ -94,6 +95,19 @@ class Kind(NamedTuple):
 PLAIN = Kind()
 
 
+class Blocks(NamedTuple):
+    """What a thread works in."""
+
+    panels: np.ndarray  # (·, length, WIDTH) float32
+    sums: np.ndarray  # (·, WIDTH) float32
+
+
+def _make_blocks(length: int, panels: int, sums: int) -> Blocks:
+    """Of so many panels, and rows of sums."""
+    panel = np.zeros((panels, length, WIDTH), np.float32)
+    return Blocks(panel, np.empty((sums + ROWS, WIDTH), np.float32))
+
+
 def accumulate(
     convolution: Convolution,
     rows: np.ndarray,
@@ -108,30 +122,24 @@ def accumulate(
 
     `rows` (R, K, P, patches) and `columns` (R, K, Q, patches) are transforms; `scratch` (at least R K P times
     points of Q,). The bits of a pair depend on no other pair; crossed, they are those with rows and columns
-    exchanged. BLAS adds in another order for other shapes and places, `_add_product` does not.
+    exchanged. BLAS adds in another order for other shapes and places, `set_block` does not.
     """
     (products, tables, p, length), (q, steps) = rows.shape, out.shape[2:]
     (start, stop, _), at = some[0].indices(q), some[1].indices(steps)[0]
     spectra = scratch[: products * tables * p * (stop - start)].reshape(
         products * tables, p, stop - start
     )
-    wide = -(-(stop - start) // _WIDE) * _WIDE
     left, right = (side.reshape(len(spectra), -1, length) for side in (rows, columns))
-    of_half = length // 2 if kind.crossed else length
-
-    def make_scratch() -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros((of_half, wide), np.float32), np.empty((4, wide), np.float32)
-
+    halves, count = 2 if kind.crossed else 1, len(convolution.inverse)
+    least = least_rows(p * (stop - start) * length)
     over_rows(
         _multiply, len(spectra), left, right, start, kind, spectra,
-        scratch=make_scratch, least=least_rows(p * (stop - start) * length),
+        scratch=lambda: _make_blocks(length // halves, halves, 2 * ROWS), least=least,
     )  # fmt: skip
-    of_point = (stop - start) * convolution.inverse.size
-    back = spectra.reshape(products, -1)
+    back, least = spectra.reshape(products, -1), least_rows((stop - start) * convolution.inverse.size)
     over_rows(
         _transform_back, tables * p, convolution.inverse, back, (start, stop, at), kind, out,
-        scratch=lambda: np.empty((len(convolution.inverse) + 3, _SLAB), np.float32),
-        least=least_rows(of_point),
+        scratch=lambda: _make_blocks(products, _SLAB, count), least=least,
     )  # fmt: skip
 
 
@@ -144,28 +152,37 @@ def _multiply(
     start: int,
     kind: Kind,
     out: np.ndarray,
-    scratch: tuple[np.ndarray, np.ndarray],
+    scratch: Blocks,
 ) -> None:
     """Fill `out` (R, P, points) with sums over patches of `rows` (R, P, patches) times `columns` (R, Q, patches)
     from point `start` of Q on, of the R `first` to `last`."""
-    turned, sums = scratch
-    points, end, length = out.shape[1], out.shape[2], len(turned)
+    panels, sums = scratch
+    points, end, length = out.shape[1], out.shape[2], panels.shape[1]
     for r in range(first, last):
-        for half in range(2 if kind.crossed else 1):
-            of_row = half * length
-            of_column = length - of_row if kind.crossed else 0
-            if end >= _FEW:
-                _turn(columns[r], start, end, of_column, turned)
-            for i in range(0, points, 4):
-                begin = i // _WIDE * _WIDE if kind.symmetric else 0
-                sums[:, begin:] = 0.0
-                if end >= _FEW:
-                    _add_product(rows[r], i, of_row, turned, begin, turned.shape[1], sums, 0, 0)
-                else:
-                    _add_few(rows[r], i, of_row, columns[r], start, of_column, end, length, sums)
-                for n in range(min(4, points - i)):
-                    for j in range(begin, end):
-                        out[r, i + n, j] = sums[n, j] if half == 0 else out[r, i + n, j] + sums[n, j]
+        if points * end < _FEW:
+            _multiply_few(rows[r], columns[r], start, kind, out[r])
+            continue
+        for low in range(0, end, WIDTH):
+            high = min(low + WIDTH, end)
+            for half in range(len(panels)):
+                other = (len(panels) - 1 - half) * length
+                _turn(columns[r], start + low, start + high, other, panels[half])
+            for i in range(0, min(points, high) if kind.symmetric else points, ROWS):
+                for half in range(len(panels)):
+                    own = _rows_from(i, points)
+                    set_block(sums[half * ROWS :], rows[r], own, half * length, panels[half], length)
+                _store_block(sums, kind.crossed, min(ROWS, points - i), out[r], i, low, high)
+
+
+@part
+def _store_block(
+    sums: np.ndarray, crossed: bool, count: int, out: np.ndarray, i: int, low: int, high: int
+) -> None:
+    """A block, or the sum of two, into columns `low` to `high` of `count` rows from `i` on of a table."""
+    begin, width = np.uint64(low), np.uint64(high - low)
+    for n in range(count):
+        for j in range(width):
+            out[i + n, begin + j] = sums[n, j] + sums[ROWS + n, j] if crossed else sums[n, j]
 
 
 @kernel
@@ -177,107 +194,76 @@ def _transform_back(
     place: tuple[int, int, int],
     kind: Kind,
     out: np.ndarray,
-    steps: np.ndarray,
+    scratch: Blocks,
 ) -> None:
     """Add to rows `first` to `last` of all tables of `out` (K, P, Q, steps) what `inverse` (steps, R) makes of
-    `spectra` (R, K P points); `place`: first and last of these points in Q, and the first step. `steps` (steps + 3,
-    slab) is scratch."""
-    points, count = out.shape[1], len(inverse)
+    `spectra` (R, K P points); `place`: first and last of these points in Q, and the first step."""
+    (panels, sums), points, (count, length) = scratch, out.shape[1], inverse.shape
     start, stop, step = place
     for row in range(first, last):
         k, i = row // points, row % points
-        for begin in range(i if kind.symmetric else 0, stop - start, steps.shape[1]):
-            end = min(begin + steps.shape[1], stop - start)
-            steps[:] = 0.0
-            at = row * (stop - start) + begin
-            for t in range(0, count, 4):
-                _add_product(inverse, t, 0, spectra, at, at + end - begin, steps, t, at)
-            for j in range(begin, end):
-                for t in range(count):
-                    out[k, i, start + j, step + t] += steps[t, j - begin]
-
-
-@part(fastmath={"contract"})
-def _add_few(
-    left: np.ndarray,
-    i: int,
-    of_left: int,
-    right: np.ndarray,
-    start: int,
-    of_right: int,
-    count: int,
-    length: int,
-    sums: np.ndarray,
-) -> None:
-    """To `sums` (4, ·) the products of at most four rows from `i` on of `left` (P, ·) with `count` rows from
-    `start` on of `right` (Q, ·), over `length` columns from `of_left` and `of_right` on, as `_add_product` has
-    them: four sums at a time, each of which waits for its last product."""
-    last = start + count - 1
-    for n in range(min(4, len(left) - i)):
-        for j in range(start, start + count, 4):
-            k, l, m = min(j + 1, last), min(j + 2, last), min(j + 3, last)
-            s0, s1, s2, s3 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for c in range(length):
-                a, at = left[i + n, of_left + c], of_right + c
-                s0 += a * right[j, at]
-                s1 += a * right[k, at]
-                s2 += a * right[l, at]
-                s3 += a * right[m, at]
-            sums[n, m - start], sums[n, l - start], sums[n, k - start] = s3, s2, s1
-            sums[n, j - start] = s0
+        at = row * (stop - start) - start
+        for slab in range(start + i if kind.symmetric else start, stop, len(panels) * WIDTH):
+            _fill_panels(spectra, at + slab, at + stop, panels)
+            for low in range(slab, min(slab + len(panels) * WIDTH, stop), WIDTH):
+                panel = panels[(low - slab) // WIDTH]
+                for t in range(0, count, ROWS):
+                    set_block(sums[t:], inverse, _rows_from(t, count), 0, panel, length)
+                for j in range(low, min(low + WIDTH, stop)):
+                    for t in range(count):
+                        out[k, i, j, step + t] += sums[t, j - low]
 
 
 @part
-def _turn(columns: np.ndarray, start: int, count: int, first: int, turned: np.ndarray) -> None:
-    """`turned` (patches, ·): `count` rows of `columns` (Q, ·) from `start` on, of which patches are those from
+def _fill_panels(spectra: np.ndarray, low: int, high: int, panels: np.ndarray) -> None:
+    """Columns `low` to `high`, or as many as there is room for, of `spectra` (R, ·) in `panels` (·, R, WIDTH)."""
+    for c in range(panels.shape[1]):
+        for n in range(len(panels)):
+            begin, width = (
+                np.uint64(low + n * WIDTH),
+                np.uint64(max(min(high - low - n * WIDTH, WIDTH), 0)),
+            )
+            for j in range(width):
+                panels[n, c, j] = spectra[c, begin + j]
+
+
+@part(forceinline=True)
+def _rows_from(i: int, count: int) -> tuple[int, int, int, int, int, int]:
+    """`ROWS` rows from `i` on of so many; beyond the last one it is that one again."""
+    last = count - 1
+    return i, min(i + 1, last), min(i + 2, last), min(i + 3, last), min(i + 4, last), min(i + 5, last)
+
+
+@part
+def _turn(columns: np.ndarray, low: int, high: int, first: int, panel: np.ndarray) -> None:
+    """Rows `low` to `high` of `columns` (Q, patches) side by side in `panel` (patches, WIDTH), of patches from
     `first` on; some rows at a time, so that whole cache lines are written."""
-    for low in range(0, count, 16):
-        for c in range(len(turned)):
-            for j in range(low, min(low + 16, count)):
-                turned[c, j] = columns[start + j, first + c]
+    begin = np.uint64(low)
+    for j in range(0, high - low, _LINE):
+        for c in range(len(panel)):
+            for n in range(np.uint64(j), np.uint64(min(j + _LINE, high - low))):
+                panel[c, n] = columns[begin + n, first + c]
 
 
 @part(fastmath={"contract"})
-def _add_product(
-    left: np.ndarray,
-    i: int,
-    of_left: int,
-    right: np.ndarray,
-    low: int,
-    high: int,
-    out: np.ndarray,
-    into: int,
-    before: int,
-) -> None:
-    """Add four rows from `i` on of `left` (P, ·), from column `of_left` on, times columns `low` to `high` of
-    `right` (K, ·), to the rows from `into` on of `out`, whose columns begin at number `before`. Beyond the last
-    row of `left` it is that one again.
-
-    Every sum is over K in order, whatever else is made beside it. Columns are counted without a sign: Numba looks
-    at those that have one, and then does not take eight at a time.
-    """
-    length, last = len(right), len(left) - 1
-    j, k, l = min(i + 1, last), min(i + 2, last), min(i + 3, last)
-    begin, end, offset = np.uint64(low), np.uint64(high), np.uint64(before)
-    for c in range(0, length - 3, 4):  # sixteen numbers of `left` stay in registers
-        x = of_left + c
-        a0, a1, a2, a3 = left[i, x], left[i, x + 1], left[i, x + 2], left[i, x + 3]
-        b0, b1, b2, b3 = left[j, x], left[j, x + 1], left[j, x + 2], left[j, x + 3]
-        c0, c1, c2, c3 = left[k, x], left[k, x + 1], left[k, x + 2], left[k, x + 3]
-        d0, d1, d2, d3 = left[l, x], left[l, x + 1], left[l, x + 2], left[l, x + 3]
-        for n in range(begin, end):
-            m = n - offset
-            x0, x1, x2, x3 = right[c, n], right[c + 1, n], right[c + 2, n], right[c + 3, n]
-            out[into, m] = (((out[into, m] + a0 * x0) + a1 * x1) + a2 * x2) + a3 * x3
-            out[into + 1, m] = (((out[into + 1, m] + b0 * x0) + b1 * x1) + b2 * x2) + b3 * x3
-            out[into + 2, m] = (((out[into + 2, m] + c0 * x0) + c1 * x1) + c2 * x2) + c3 * x3
-            out[into + 3, m] = (((out[into + 3, m] + d0 * x0) + d1 * x1) + d2 * x2) + d3 * x3
-    for c in range(length - length % 4, length):
-        x = of_left + c
-        a0, b0, c0, d0 = left[i, x], left[j, x], left[k, x], left[l, x]
-        for n in range(begin, end):
-            m, x0 = n - offset, right[c, n]
-            out[into, m] += a0 * x0
-            out[into + 1, m] += b0 * x0
-            out[into + 2, m] += c0 * x0
-            out[into + 3, m] += d0 * x0
+def _multiply_few(left: np.ndarray, right: np.ndarray, start: int, kind: Kind, out: np.ndarray) -> None:
+    """`_multiply` of few pairs, to the bit: four sums at a time, each of which waits for its last product."""
+    halves = 2 if kind.crossed else 1
+    length, count = left.shape[1] // halves, out.shape[1]
+    last = start + count - 1
+    for i in range(len(out)):
+        for half in range(halves):
+            first, other = half * length, (halves - 1 - half) * length
+            for j in range(start, start + count, 4):
+                k, l, m = min(j + 1, last), min(j + 2, last), min(j + 3, last)
+                s0, s1, s2, s3 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+                for c in range(length):
+                    a, at = left[i, first + c], other + c
+                    s0 += a * right[j, at]
+                    s1 += a * right[k, at]
+                    s2 += a * right[l, at]
+                    s3 += a * right[m, at]
+                sums = s0, s1, s2, s3
+                for n in range(min(4, start + count - j)):
+                    before = np.float32(0.0) if half == 0 else out[i, j - start + n]
+                    out[i, j - start + n] = before + sums[n]
