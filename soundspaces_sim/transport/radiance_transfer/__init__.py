@@ -46,8 +46,8 @@ function of the whole path's length, not a product over its parts. It is applied
 
 Modules, in the order in which they are used: `patches`, `patch_visibility`, `patch_construction` (what c is);
 `transfer_subpaths` (T); `first_reflections` (F), `patch_histograms` (F and V, over `time_steps`); `product_block`,
-`convolution` and `pair_transfer` (2); `arrival_directions`; `batch_variance` (3); `plan`, `prepared`, `transfer` and
-`technique` (the technique's face).
+`convolution` and `pair_transfer` (2); `arrival_directions`; `batch_variance` (3); `plan`, `prepared`, `transfer`
+and `technique` (the technique's face).
 
 Sources: S. Siltanen, T. Lokki, S. Kiminki and L. Savioja (2007), The room acoustic rendering equation, J. Acoust.
 Soc. Am. 122 (3), 1624–1635, for (1). H. Bai, G. Richard and L. Daudet (2015), Late reverberation synthesis: from
