@@ -1,6 +1,14 @@
 """Products of points' tables: against sums, and to the same bits wherever a point stands."""
 
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import llvmlite.binding
 import numpy as np
+import pytest
 
 from soundspaces_sim.transport.radiance_transfer.convolution import (
     PLAIN,
@@ -11,6 +19,7 @@ from soundspaces_sim.transport.radiance_transfer.convolution import (
 )
 
 P, Q, T, PATCHES, FIRST = 33, 48, 23, 41, 4
+_NARROW = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": "+avx,+avx2,+bmi,+bmi2,+f16c,+fma"}
 
 
 def _histograms(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -58,7 +67,7 @@ def test_where_a_point_stands_does_not_matter() -> None:
     whole = _convolved(outgoing, incident)
     rows, columns = random.permutation(P), random.permutation(Q)
     np.testing.assert_array_equal(_convolved(outgoing[rows], incident[columns]), whole[rows][:, columns])
-    for p, q in ((16, 32), (1, 1), (1, 4), (2, 3), (5, 1), (8, 9), (16, 3), (17, 1)):
+    for p, q in ((16, 32), (1, 1), (1, 4), (2, 3), (5, 1), (8, 9), (16, 3), (17, 1), (1, 32), (5, 33)):
         found = _convolved(outgoing[:p], incident[-q:])
         np.testing.assert_array_equal(found, whole[:p, -q:])
 
@@ -96,3 +105,55 @@ def test_several_tables_are_each_with_its_own() -> None:
     for table, (row, column) in zip(out, ((left, right), (left[::-1], right[::-1])), strict=True):
         np.testing.assert_array_equal(table[:, 5:30, FIRST:], _accumulated(row, column)[:, 5:30])
     assert not (out[:, :, :5].any() or out[:, :, 30:].any() or out[..., :FIRST].any())
+
+
+def test_more_columns_than_are_transformed_back_together() -> None:
+    random = np.random.default_rng(4)
+    outgoing, incident = (random.random((n, T, PATCHES), np.float32) for n in (7, 300))
+    whole = _convolved(outgoing, incident)
+    np.testing.assert_array_equal(whole[:, 251:], _convolved(outgoing, incident[251:]))
+
+
+def test_half_of_the_pairs_of_some_points() -> None:
+    """Of points with themselves, of several tables, from the fifth point on."""
+    (left,) = _spectra(np.random.default_rng(5).random((Q, T, PATCHES - 1), np.float32))
+    tables, some = np.stack([left, left[::-1]], axis=1), (slice(5, None), slice(FIRST, T))
+    out = np.zeros((2, 2, Q, Q, T), np.float32)
+    scratch = np.empty(2 * left[..., 0].size * Q, np.float32)
+    for half in (0, 1):
+        kind = Kind(crossed=True, symmetric=bool(half))
+        accumulate(make_convolution(T, FIRST), tables, tables, scratch, out[half], some, kind)
+    i, j = np.triu_indices(Q)
+    i, j = i[j >= 5], j[j >= 5]
+    assert out[0][:, i, j, FIRST:].any(axis=2).all()
+    np.testing.assert_array_equal(out[1][:, i, j], out[0][:, i, j])
+
+
+def test_columns_of_tables_may_lie_apart() -> None:
+    left, right = _spectra(*_histograms(np.random.default_rng(6)))
+    apart, copied = left[..., ::2], np.ascontiguousarray(left[..., ::2])
+    np.testing.assert_array_equal(
+        _accumulated(apart, right[..., ::2]), _accumulated(copied, right[..., ::2])
+    )
+
+
+def print_digest() -> None:
+    """SHA-256 of convolutions, on stdout."""
+    print(hashlib.sha256(_convolved(*_histograms(np.random.default_rng(7))).tobytes()).hexdigest())
+
+
+@pytest.mark.skipif(
+    not llvmlite.binding.get_host_cpu_features().get("fma"), reason="a processor without FMA"
+)
+def test_bits_do_not_depend_on_the_width_of_vectors(tmp_path: Path) -> None:
+    """Of processors that fuse products and sums."""
+    command = [sys.executable, "-c", f"from {__name__} import print_digest; print_digest()"]
+    digests = [
+        subprocess.run(
+            command,
+            env={**os.environ, **more, "NUMBA_CACHE_DIR": str(tmp_path / name), "OPENBLAS_CORETYPE": "Haswell"},
+            capture_output=True, text=True, check=True,
+        ).stdout
+        for name, more in (("wide", {}), ("narrow", _NARROW))
+    ]  # fmt: skip
+    assert digests[0] == digests[1] != ""

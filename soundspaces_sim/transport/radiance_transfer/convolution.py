@@ -104,7 +104,7 @@ class Blocks(NamedTuple):
 
 def _make_blocks(length: int, panels: int, sums: int) -> Blocks:
     """Of so many panels, and rows of sums."""
-    panel = np.zeros((panels, length, WIDTH), np.float32)
+    panel = np.zeros((panels, length, WIDTH), np.float32)  # columns that no one fills are summed too
     return Blocks(panel, np.empty((sums + ROWS, WIDTH), np.float32))
 
 
@@ -167,7 +167,7 @@ def _multiply(
             for half in range(len(panels)):
                 other = (len(panels) - 1 - half) * length
                 _turn(columns[r], start + low, start + high, other, panels[half])
-            for i in range(0, min(points, high) if kind.symmetric else points, ROWS):
+            for i in range(0, min(points, start + high) if kind.symmetric else points, ROWS):
                 for half in range(len(panels)):
                     own = _rows_from(i, points)
                     set_block(sums[half * ROWS :], rows[r], own, half * length, panels[half], length)
@@ -203,7 +203,7 @@ def _transform_back(
     for row in range(first, last):
         k, i = row // points, row % points
         at = row * (stop - start) - start
-        for slab in range(start + i if kind.symmetric else start, stop, len(panels) * WIDTH):
+        for slab in range(max(start, i) if kind.symmetric else start, stop, len(panels) * WIDTH):
             _fill_panels(spectra, at + slab, at + stop, panels)
             for low in range(slab, min(slab + len(panels) * WIDTH, stop), WIDTH):
                 panel = panels[(low - slab) // WIDTH]
