@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from types import FrameType
 
 _noted = False
-_held = False  # within an outermost `deferred()`
 
 
 def _note(number: int, frame: FrameType | None) -> None:
@@ -35,22 +34,17 @@ def deferred() -> Iterator[None]:
     """Within, the first Ctrl-C is raised by `check()` only, and at the end at the latest; a second one at once.
 
     Does nothing where Ctrl-C is not Python's to raise: outside the main thread, and under a handler of the
-    caller's own.
+    caller's own, or of an outer `deferred()`.
     """
-    global _noted, _held
-    if _held:
-        yield
-        return
+    global _noted
     own = threading.current_thread() is threading.main_thread()
     if not own or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
     signal.signal(signal.SIGINT, _note)
-    _held = True
     try:
         yield
         check()
     finally:
-        _held = False
         signal.signal(signal.SIGINT, signal.default_int_handler)
         _noted = False

@@ -115,7 +115,8 @@ def reserve(handle: int, size: int) -> None:
 
 
 def sync_all() -> None:
-    """Wait until all files are on disk, where the system can be asked to."""
+    """Wait until all files are on disk, where the system can be asked to: once for many files, where each `fsync`
+    costs a journal."""
     if hasattr(os, "sync"):
         os.sync()
 
@@ -127,7 +128,7 @@ def at_fork(before: Callable[[], None], parent: Callable[[], None], child: Calla
 
 
 def process_runs(process: int) -> bool:
-    """Whether a process exists and has not ended; a zombie has ended."""
+    """Whether a process of this machine exists and has not ended; a zombie has ended."""
     if sys.platform == "win32":  # where signal 0 is Ctrl-C
         psutil = import_module("psutil")
         return bool(psutil.pid_exists(process))

@@ -12,12 +12,6 @@ from typing import TYPE_CHECKING
 
 from soundspaces_sim.core.platforms import process_runs
 
-
-def is_running(process: int) -> bool:
-    """Whether a process of this machine exists and has not ended; a zombie has ended."""
-    return process_runs(process)
-
-
 if TYPE_CHECKING:
     from loky.process_executor import ProcessPoolExecutor
 
@@ -58,7 +52,7 @@ def end_with(parent: int) -> None:
 
 def _watch(parent: int) -> None:
     own = os.getppid() == parent
-    while os.getppid() == parent if own else is_running(parent):
+    while os.getppid() == parent if own else process_runs(parent):
         time.sleep(_EVERY_S)
     os._exit(1)  # nothing is left to clean up for: files are whole or absent
 

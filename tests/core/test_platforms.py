@@ -63,13 +63,13 @@ for module in pkgutil.walk_packages(ss.__path__, "soundspaces_sim."):
     except ImportError as error:
         if (error.name or "").split(".")[0] not in optional:
             failed.append((module.name, str(error)))
-from soundspaces_sim.core.io.files import publish, settle
+from soundspaces_sim.core.io.files import publish
 from soundspaces_sim.core.io.untrusted import read_bytes
 from soundspaces_sim.core.memory import free_memory
 from pathlib import Path
 folder = Path(sys.argv[2])
 publish(folder / "a", b"abc")
-settle()
+platforms.sync_all()
 os.symlink(folder / "a", folder / "link")
 try:
     read_bytes(folder / "link", ss.DatasetError, "file", 10, follow=False)

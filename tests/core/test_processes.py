@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from soundspaces_sim.core.io.files import remove_stale
-from soundspaces_sim.core.processes import is_running
+from soundspaces_sim.core.platforms import process_runs
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the state of a process is read from /proc")
@@ -22,15 +22,15 @@ def test_files_of_a_zombie_are_stale(tmp_path: Path) -> None:
     left = tmp_path / f".shard.h5.{socket.gethostname()}.{child.pid}.00ff.partial"
     left.touch()
     remove_stale(tmp_path)
-    assert left.exists() and is_running(child.pid) and is_running(os.getpid())
+    assert left.exists() and process_runs(child.pid) and process_runs(os.getpid())
     child.kill()
     while psutil.Process(child.pid).status() != psutil.STATUS_ZOMBIE:
         pass
     os.kill(child.pid, 0)
-    assert not is_running(child.pid)
+    assert not process_runs(child.pid)
     remove_stale(tmp_path)
     assert not left.exists()
     assert child.stdin is not None
     child.stdin.close()
     child.wait()
-    assert not is_running(child.pid)
+    assert not process_runs(child.pid)

@@ -40,7 +40,6 @@ _Arrays = TypeVar("_Arrays", bound=tuple[Any, ...])
 _MOST = 2**31  # bytes of all files
 _MOST_HEAD = 2**16  # bytes of the line that describes the arrays
 _WORTH_S = 0.5  # what is made sooner is not kept
-_ROOMS = ("core/numerics", "scene", "transport")  # whose code makes what is kept
 _ROUND = ("numpy", "scipy", "numba", "trimesh")
 _TYPES = ("<f8", "<f4", "<i8", "<i4", "<u2", "|u1", "|b1")
 
@@ -83,7 +82,7 @@ def fingerprint(*arrays: np.ndarray) -> str:
 
 @cache
 def _engine() -> tuple[str, ...]:
-    return source_digest(_ROOMS), code_target(), ray_engine_name(), *(version(name) for name in _ROUND)
+    return source_digest(), code_target(), ray_engine_name(), *(version(name) for name in _ROUND)
 
 
 def _read(path: Path, like: type[_Arrays], fits: Callable[[_Arrays], bool]) -> _Arrays | None:

@@ -11,8 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.platforms import sync_all, sync_folder
-from soundspaces_sim.core.processes import is_running
+from soundspaces_sim.core.platforms import process_runs, sync_folder
 
 
 def cache_root() -> Path:
@@ -33,7 +32,7 @@ def publish(path: Path, content: bytes, durable: bool = True, mode: int = 0o666)
     """Make `content` the file `path`, durably and at once. Raises `DatasetError`.
 
     `mode`: who may read and write it, as far as the process allows (umask). A caller that writes many files
-    leaves `durable` out and calls `settle` at the end.
+    leaves `durable` out and calls `platforms.sync_all` at the end.
 
     HDF5 files come here as bytes: the library itself never meets a full disk, which can crash it.
     """
@@ -83,16 +82,11 @@ def make_folder(path: Path, remedy: str = "choose another place") -> Path:
     return path
 
 
-def settle() -> None:
-    """Wait until all that was published is on disk: once for many files, where each `fsync` costs a journal."""
-    sync_all()
-
-
 def remove_stale(folder: Path) -> None:
     """Delete temporary files that processes of this machine left behind when they were killed."""
     for path in folder.glob(f".*.{socket.gethostname()}.*.partial"):
         process = path.name.split(".")[-3]
-        if process.isdigit() and not is_running(int(process)):
+        if process.isdigit() and not process_runs(int(process)):
             delete(path)
 
 

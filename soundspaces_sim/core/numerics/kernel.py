@@ -41,10 +41,10 @@ _ROOMS = ("core/numerics", "scene", "transport")
 
 
 @cache
-def source_digest(rooms: tuple[str, ...] = _ROOMS) -> str:
-    """SHA-256 of the sources in some rooms: if none are named, those that hold most kernels."""
+def source_digest() -> str:
+    """SHA-256 of the sources in the rooms that hold most kernels."""
     sha = hashlib.sha256()
-    for room in rooms:
+    for room in _ROOMS:
         for path in sorted((_PACKAGE / room).rglob("*.py")):
             sha.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
     return sha.hexdigest()

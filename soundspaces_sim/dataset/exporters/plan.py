@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError, DatasetError
-from soundspaces_sim.core.io.files import settle
 from soundspaces_sim.core.io.untrusted import read_text
+from soundspaces_sim.core.platforms import sync_all
 from soundspaces_sim.dataset.reader import RirDataset
 
 MOST_PAIRS = 256 * 2**20  # bytes of a file of pairs
@@ -40,7 +40,7 @@ def carry_out(plan: ExportPlan, progress: Progress | None = None) -> int:
     """Write a plan's files, if there is room for them; their number. Raises `DatasetError`."""
     check_space(plan.out, plan.bytes)
     plan.write(progress or (lambda _done, _total: None))
-    settle()
+    sync_all()
     return plan.files
 
 
