@@ -6,7 +6,6 @@ import json
 import logging
 import sys
 import time
-from types import TracebackType
 
 import typer
 from rich.console import Console
@@ -71,12 +70,7 @@ class Meter:
         self._bar.start()
         return self
 
-    def __exit__(
-        self,
-        _type: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
     def stage(self, what: str) -> None:

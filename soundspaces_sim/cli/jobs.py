@@ -22,11 +22,9 @@ from soundspaces_sim.cli.options import (
     MaterialsOnReadingOption,
     Read,
     ReadOne,
-    add_cards,
     read_bands,
     read_places,
     read_settings,
-    scenes_of,
     takes_scene,
     takes_scenes,
 )
@@ -76,6 +74,7 @@ def plan(
 ) -> None:
     """Say how many pairs, bytes and core-hours a job would take, from a short measurement; write nothing."""
     from soundspaces_sim.build.forecast import forecast
+    from soundspaces_sim.scene.load import find_scenes
 
     flags = {
         "--spacing": ("grid", "spacing", spacing),
@@ -86,7 +85,7 @@ def plan(
     }
     settings = read_settings(config, flags)
     places = read_places(points, settings)
-    found = scenes_of(scenes)
+    found = find_scenes(scenes)
     logging.getLogger("soundspaces_sim").setLevel(logging.WARNING)
     forecasts = []
     with Meter("Planning") as meter:
@@ -213,12 +212,13 @@ def finish(
     """Close jobs whose tiles are all made, by any machine: write the manifest with sizes and SHA-256."""
     from soundspaces_sim.build.finish import finish_folder
     from soundspaces_sim.build.status import find_datasets
+    from soundspaces_sim.dataset.format.card import write_cards
 
     problems = []
     for folder in find_datasets(out):
         try:
             manifest = finish_folder(folder)
-            add_cards(folder)
+            write_cards(folder)
         except DatasetError as error:
             problems.append(str(error))
             continue

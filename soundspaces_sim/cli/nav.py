@@ -25,11 +25,6 @@ SplitOption = Annotated[str, typer.Option("--split", help="Split of splits.toml.
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed.")]
 
 
-def need_extras(*extras: str) -> None:
-    """Raise `MissingExtraError` unless the packages of these extras are there."""
-    need("this command", *extras)
-
-
 @app.command()
 def episodes(
     data: DataArgument,
@@ -51,7 +46,7 @@ def episodes(
     replace: ReplaceOption = False,
 ) -> None:
     """Make episodes in SoundSpaces' and Habitat's format."""
-    need_extras("nav")
+    need("this command", "nav")
     from soundspaces_sim import nav
     from soundspaces_sim.dataset.exporters.points import HABITAT_HEIGHT
 
@@ -88,7 +83,7 @@ def bake(
     views: Annotated[bool, typer.Option("--views/--no-views", help="Draw depth pictures.")] = True,
 ) -> None:
     """Write views.h5, and what is heard of sounds at the episodes' goals, beside every dataset."""
-    need_extras("nav")
+    need("this command", "nav")
     from soundspaces_sim import nav
 
     found = nav.NavData(data)

@@ -125,20 +125,6 @@ def open_found(
     return {ds.scene: ds}
 
 
-def scenes_of(names: list[str]) -> list[str]:
-    """The scenes that names, files and folders stand for. Raises `SceneError`."""
-    from soundspaces_sim.scene.load import find_scenes
-
-    return find_scenes(names)
-
-
-def add_cards(folder: Path) -> None:
-    """Write the data sheet and the README beside a finished dataset."""
-    from soundspaces_sim.dataset.format.card import write_cards
-
-    write_cards(folder)
-
-
 @contextmanager
 def reported(command: str, wanted: bool) -> Iterator[None]:
     """Collect where the time of a command goes; log it at its end, and print it if `wanted`."""

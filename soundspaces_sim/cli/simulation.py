@@ -23,13 +23,11 @@ from soundspaces_sim.cli.options import (
     MaterialsOnReadingOption,
     ProfileOption,
     ReadOne,
-    add_cards,
     check_folder,
     read_bands,
     read_places,
     read_settings,
     reported,
-    scenes_of,
     takes_scenes,
 )
 from soundspaces_sim.core.errors import ConfigError
@@ -76,6 +74,8 @@ def rirs(
     profile: ProfileOption = False,
 ) -> None:
     """Simulate the room impulse responses between all grid points of one or more scenes."""
+    from soundspaces_sim.scene.load import find_scenes
+
     flags = {
         "--spacing": ("grid", "spacing", spacing),
         "--walks": ("simulation", "walks", walks),
@@ -89,7 +89,7 @@ def rirs(
     check_name("engine", ENGINES, engine)
     check_folder(out)
     places = read_places(points, settings)
-    share, found = _share(tiles), scenes_of(scenes)
+    share, found = _share(tiles), find_scenes(scenes)
     if places is not None and len(found) > 1:
         raise ConfigError(
             f"--points {points}: these are points of one scene, and there are {len(found)}"
@@ -112,8 +112,7 @@ def rirs(
 
 def _load(read: ReadOne, name: str) -> Scene:
     console.print(f"Loading {name}", highlight=False)
-    scene: Scene = read(name)
-    return scene
+    return read(name)
 
 
 def _watched(build: Callable[[_Watch], Sequence[Any]], where: Path) -> Sequence[Any]:
@@ -213,6 +212,8 @@ class _Watch:
 
 
 def _summary(result: Any, share: tuple[int, int] | None) -> None:
+    from soundspaces_sim.dataset.format.card import write_cards
+
     manifest = result.manifest
     if not manifest.complete:
         what = (
@@ -223,7 +224,7 @@ def _summary(result: Any, share: tuple[int, int] | None) -> None:
             f"`soundspaces-sim finish {shlex.quote(str(result.folder))}`"
         )
         return
-    add_cards(result.folder)
+    write_cards(result.folder)
     n = len(manifest.points)
     size = sum(e.bytes for e in manifest.shards)
     if result.built == 0 and result.changed:
