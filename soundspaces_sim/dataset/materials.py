@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from soundspaces_sim import echogram
-from soundspaces_sim.core.errors import DatasetError, MaterialError
+from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.dataset.format.echogram_shard import EchogramShard
 from soundspaces_sim.dataset.format.shard import FAILED
 from soundspaces_sim.echogram.echogram import Echogram
@@ -18,7 +18,6 @@ from soundspaces_sim.echogram.reflection_counts import MaterialGroups
 from soundspaces_sim.echogram.refurnish import (
     MOST_DB,
     Materials,
-    absorption_of,
     closure_error_db,
     refurnished,
     walk_factors,
@@ -158,18 +157,3 @@ def spread_metadata(columns: Mapping[str, dict[str, Any]]) -> dict[str, dict[str
 
 def _pairs(shard: EchogramShard) -> Iterator[tuple[int, int]]:
     return ((int(s), int(l)) for s, l in np.argwhere(shard.pairs["status"] != FAILED))
-
-
-def furnishing(groups: MaterialGroups | None, bands: tuple[float, ...], where: object, command: str,
-               materials: Materials | None, force: bool) -> Furnishing | None:  # fmt: skip
-    """What `materials` ask of a dataset, checked; None if nothing. Raises `DatasetError`, `MaterialError`."""
-    if materials is None:
-        return None
-    if groups is None:
-        again = f", as by `{command}`," if command else ""
-        raise DatasetError(
-            f"{where}: holds no counts of reflections, so its materials cannot change; make it anew{again} with "
-            "--materials-on-reading (`[simulation.materials] enabled = true`), in another folder"
-        )
-    absorption_of(groups, bands, materials)
-    return Furnishing(materials, force, command)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, SupportsIndex, get_args, overload
 
@@ -97,10 +98,34 @@ class RirDataset:
         self.scene = self.manifest.scene
 
     def __repr__(self) -> str:
-        return _text(self)
+        """Points, pairs, lengths, what is stored, and how much it is."""
+        found = self.manifest
+        forms = " and ".join(f"{form}s" for form in sorted({e.form for e in found.shards}))
+        size = sum(e.bytes for e in found.shards)
+        bands = len(found.config.simulation.bands) - 1
+        return (
+            f"RirDataset({str(self.path)!r}): {len(self):,} pairs of {len(self.points):,} points in "
+            f"'{self.scene}', {found.duration:g} s each\n  {forms}, {bands} bands, rendered at {self.rate:,} Hz, "
+            f"{size / 1e6:.1f} MB"
+        )
 
     def _repr_html_(self) -> str:
-        return _picture(self)
+        """The text above the floor plan of the lowest storey, its points and navigation graph."""
+        try:
+            plan = read_floorplan(self.path)
+            lowest = storeys_of(plan, self.points) == 0
+            walls: list[Layer] = [Lines(plan.walls[0], GREY, 1.2)]
+        except DatasetError as error:  # it was not copied with the rest
+            _log.debug("%s", error)
+            lowest, walls = np.ones(len(self.points), bool), []
+        edges = np.array(self.manifest.edges, int).reshape(-1, 2)
+        edges = edges[lowest[edges].all(axis=1)]
+        layers: list[Layer] = [
+            *walls,
+            Lines(self.points[edges][:, :, :2].reshape(-1, 4), BLUE, 0.6),
+            Dots(self.points[lowest, :2], BLUE, 1.8),
+        ]
+        return html(repr(self), svg(layers))
 
     def __len__(self) -> int:
         return len(self.points) ** 2
@@ -524,54 +549,15 @@ def open_dataset(
     return RirDataset(path, rate, hrtf, renderer, materials, force)
 
 
-def _text(ds: RirDataset) -> str:
-    """Points, pairs, lengths, what is stored, and how much it is."""
-    found = ds.manifest
-    forms = " and ".join(
-        f"{f}s" for f in ("echogram", "waveform") if any(e.form == f for e in found.shards)
-    )
-    size = sum(e.bytes for e in found.shards)
-    bands = len(found.config.simulation.bands) - 1
-    return (
-        f"RirDataset({str(ds.path)!r}): {len(ds):,} pairs of {len(ds.points):,} points in '{ds.scene}', "
-        f"{found.duration:g} s each\n  {forms}, {bands} bands, rendered at {ds.rate:,} Hz, {size / 1e6:.1f} MB"
-    )
-
-
-def _picture(ds: RirDataset) -> str:
-    """HTML: the text above the floor plan of the lowest storey, its points and navigation graph."""
-    try:
-        plan = read_floorplan(ds.path)
-        lowest = storeys_of(plan, ds.points) == 0
-        walls: list[Layer] = [Lines(plan.walls[0], GREY, 1.2)]
-    except DatasetError as error:  # it was not copied with the rest
-        _log.debug("%s", error)
-        lowest, walls = np.ones(len(ds.points), bool), []
-    edges = np.array(ds.manifest.edges, int).reshape(-1, 2)
-    edges = edges[lowest[edges].all(axis=1)]
-    layers: list[Layer] = [
-        *walls,
-        Lines(ds.points[edges][:, :, :2].reshape(-1, 4), BLUE, 0.6),
-        Dots(ds.points[lowest, :2], BLUE, 1.8),
-    ]
-    return html(_text(ds), svg(layers))
-
-
 def read_room(path: str | Path) -> list[list[Echogram]]:
     """The echograms of a room, a list for each source with one for each listener. Raises `DatasetError`."""
-    plain = EchogramShard(Path(path))
-    try:
+    with closing(EchogramShard(Path(path))) as plain:
         text = str(plain.attribute("config"))
-    finally:
-        plain.close()
     try:
         settings = parse_json(text, path, DatasetError, "room's settings")[2]
         config = msgspec.convert(without_constants(settings), SimulationConfig)
     except (msgspec.MsgspecError, ValueError, LookupError, TypeError, ConfigError) as error:
         raise DatasetError(f"{path}: its settings cannot be read ({error}); make it again") from error
-    shard = EchogramShard(Path(path), config.air)
-    try:
+    with closing(EchogramShard(Path(path), config.air)) as shard:
         sources, listeners = range(len(shard.sources)), range(len(shard.listeners))
         return [[shard.echogram(s, l) for l in listeners] for s in sources]
-    finally:
-        shard.close()

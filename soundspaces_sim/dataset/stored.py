@@ -26,11 +26,11 @@ from soundspaces_sim.dataset.format.schema import Form
 from soundspaces_sim.dataset.format.shard import Shard
 from soundspaces_sim.dataset.format.table import concatenate_tables, shard_table
 from soundspaces_sim.dataset.format.waveform_shard import WaveformShard
-from soundspaces_sim.dataset.materials import ChangeableMaterials, Furnishing, changeable, furnishing
+from soundspaces_sim.dataset.materials import ChangeableMaterials, Furnishing, changeable
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.echogram.reflection_counts import MaterialGroups
-from soundspaces_sim.echogram.refurnish import Materials
+from soundspaces_sim.echogram.refurnish import Materials, absorption_of
 
 _OPEN_SHARDS = 32
 _all: weakref.WeakSet[ShardHandles] = weakref.WeakSet()
@@ -202,9 +202,16 @@ class StoredResponses:
         """What `materials` ask of this dataset, checked. Raises `DatasetError`, `MaterialError`."""
         if materials is None:
             return None
-        bands = tuple(self.manifest.config.simulation.bands)
         command = rebuild_command(self.manifest)
-        return furnishing(self.groups, bands, self.path, command, materials, force)
+        groups = self.groups
+        if groups is None:
+            again = f", as by `{command}`," if command else ""
+            raise DatasetError(
+                f"{self.path}: holds no counts of reflections, so its materials cannot change; make it anew{again} "
+                "with --materials-on-reading (`[simulation.materials] enabled = true`), in another folder"
+            )
+        absorption_of(groups, self.manifest.config.simulation.bands, materials)
+        return Furnishing(materials, force, command)
 
     @property
     def groups(self) -> MaterialGroups | None:

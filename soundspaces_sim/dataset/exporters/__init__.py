@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,9 +73,4 @@ def find_exporter(
             shown = (flags or {}).get(name, name)
             has = ", ".join((flags or {}).get(n, n) for n in known)
             raise ConfigError(f"{shown}: layout {layout} has no such option; it has: {has}")
-
-    def plan(ds: RirDataset, out: Path) -> ExportPlan:
-        found: ExportPlan = function(ds, out, **options)
-        return found
-
-    return plan
+    return partial(function, **options)

@@ -27,8 +27,7 @@ _PREFIX = "soundspaces_sim/"
 def schema(form: Form, version: int | None = None) -> dict[str, Any]:
     """The schema of a version, by default the current one, as parsed JSON."""
     text = resource("data_schema", f"{form}-{version or CURRENT[form]}.json").read_text(encoding="utf-8")
-    parsed: dict[str, Any] = json.loads(text)
-    return parsed
+    return json.loads(text)
 
 
 def fixed_attributes(form: Form) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Container
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,11 +53,9 @@ def verify_dataset(folder: str | Path, full: bool = False) -> tuple[Manifest, li
             try:
                 if isinstance(entry, ShardEntry):
                     shard = (EchogramShard if entry.form == "echogram" else WaveformShard)(path)
-                    try:
+                    with closing(shard):
                         shard.check_identity(entry, points, manifest.config.simulation.bands)
                         what = failed_pairs(shard)
-                    finally:
-                        shard.close()
                 elif entry.file == FLOORPLAN:
                     read_floorplan(folder)
             except DatasetError as error:
