@@ -114,8 +114,7 @@ def floors_under(
 
 def _storey_of(storeys: Storeys, floor: np.ndarray) -> np.ndarray:
     """The storey that floors (k,) m belong to: the highest that does not begin above them."""
-    found: np.ndarray = np.maximum(np.searchsorted(storeys.floors, floor + STEP, "right") - 1, 0)
-    return found
+    return np.maximum(np.searchsorted(storeys.floors, floor + STEP, "right") - 1, 0)
 
 
 def _walked(ground: Ground, storeys: Storeys) -> np.ndarray:
@@ -123,9 +122,8 @@ def _walked(ground: Ground, storeys: Storeys) -> np.ndarray:
     floor, stand = ground.columns.floor, ground.columns.stand
     begun = (np.abs(floor[:, None] - storeys.floors).min(axis=1) <= STEP) & stand
     large = np.bincount(ground.component[stand], minlength=len(floor)) * CELL**2 >= _ROOM
-    found: np.ndarray = np.isin(ground.component, np.unique(ground.component[begun])) & stand
-    found &= large[ground.component]
-    return found
+    reached = np.isin(ground.component, np.unique(ground.component[begun]))
+    return reached & stand & large[ground.component]
 
 
 def _platforms(
@@ -156,14 +154,9 @@ def _platforms(
 
 def _middles(ground: Ground, rows: np.ndarray) -> np.ndarray:
     """(n, 3) m, the middles of floors."""
-    cells, column = ground.columns.cells, ground.column[rows]
-    return np.column_stack(
-        [
-            cells.x0 + (column // cells.ny + 0.5) * cells.size,
-            cells.y0 + (column % cells.ny + 0.5) * cells.size,
-            ground.columns.floor[rows],
-        ]
-    )
+    cells = ground.columns.cells
+    middles = cells.middles(*np.divmod(ground.column[rows], cells.ny))
+    return np.column_stack([*middles, ground.columns.floor[rows]])
 
 
 def _standing_height(ground: Ground, used: np.ndarray) -> np.ndarray:
@@ -183,8 +176,7 @@ def _standing_height(ground: Ground, used: np.ndarray) -> np.ndarray:
 def _rank(ground: Ground, here: np.ndarray) -> np.ndarray:
     """(k,) how many of the chosen floors lie below each in its column."""
     before = np.concatenate([[0], np.cumsum(here)])
-    found: np.ndarray = before[:-1] - before[ground.columns.start[ground.column]]
-    return found
+    return before[:-1] - before[ground.columns.start[ground.column]]
 
 
 def _beside(ground: Ground, chosen: np.ndarray) -> np.ndarray:
@@ -193,10 +185,9 @@ def _beside(ground: Ground, chosen: np.ndarray) -> np.ndarray:
     cells = ground.columns.cells
     plan = np.zeros(cells.nx * cells.ny, bool)
     plan[ground.column[chosen]] = True
-    out: np.ndarray = scipy.ndimage.binary_dilation(
+    return scipy.ndimage.binary_dilation(
         plan.reshape(cells.nx, cells.ny), np.ones((3, 3), bool), iterations=2
     )
-    return out
 
 
 def _field(ground: Ground, base: np.ndarray, chosen: np.ndarray, level: float) -> np.ndarray:
@@ -217,8 +208,7 @@ def _field(ground: Ground, base: np.ndarray, chosen: np.ndarray, level: float) -
         grown = scipy.ndimage.grey_dilation(np.where(known, opened, -np.inf), (3, 3), mode="nearest")
         opened = np.minimum(grown, height)
     nearest = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    out: np.ndarray = opened[tuple(nearest)]
-    return out
+    return opened[tuple(nearest)]
 
 
 def _surface(
@@ -347,12 +337,11 @@ def _check_count(scene: Scene, spacing: float, counts: np.ndarray, storeys: int)
         )
 
 
-def grid_at(scene: Scene, points: np.ndarray, config: GridConfig | None = None) -> Grid:
+def grid_at(scene: Scene, points: np.ndarray, config: GridConfig) -> Grid:
     """A grid of given points (N, 3), none of which is dropped. Raises `PointError` for points outside.
 
     Each belongs to the highest floor that lies below it; `spacing` and `height` are the config's.
     """
-    config = config or GridConfig()
     check_inside(scene, points, "points")
     storeys = find_storeys(scene, config.height)
     floors = storeys.floors

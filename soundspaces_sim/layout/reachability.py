@@ -55,14 +55,9 @@ def standing_places(scene: Scene, height: float) -> np.ndarray:
     """(W, 3) m, half of `height` above the spots of floor where a person can stand, solids not looked at."""
     columns = find_floors(scene.corners, _CELL, height, _BODY, _STEP)
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))[columns.stand]
-    return np.stack(
-        [
-            columns.cells.x0 + (column // columns.cells.ny + 0.5) * _CELL,
-            columns.cells.y0 + (column % columns.cells.ny + 0.5) * _CELL,
-            columns.floor[columns.stand].astype(float) + 0.5 * height,
-        ],
-        axis=1,
-    )
+    middles = columns.cells.middles(*np.divmod(column, columns.cells.ny))
+    level = columns.floor[columns.stand].astype(float) + 0.5 * height
+    return np.stack([*middles, level], axis=1)
 
 
 def winding_numbers(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -74,14 +74,7 @@ def _places(columns: Columns, floor: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _indoors(scene: Scene, columns: Columns, where: np.ndarray, floor: float) -> np.ndarray:
     i, j = np.nonzero(where)
-    points = np.stack(
-        [
-            columns.cells.x0 + (i + 0.5) * _CELL,
-            columns.cells.y0 + (j + 0.5) * _CELL,
-            np.full(len(i), floor + _HEIGHT),
-        ],
-        axis=1,
-    )
+    points = np.stack([*columns.cells.middles(i, j), np.full(len(i), floor + _HEIGHT)], axis=1)
     angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_DIRECTIONS)], axis=1)
     geometry = scene.geometry

@@ -32,6 +32,10 @@ class Cells(NamedTuple):
     nx: int
     ny: int
 
+    def middles(self, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """x and y of the middles of cells (i, j), m."""
+        return self.x0 + (i + 0.5) * self.size, self.y0 + (j + 0.5) * self.size
+
 
 class Spans(NamedTuple):
     """Solids as vertical spans, those of column c in rows start[c] to start[c + 1]; n spans in all."""

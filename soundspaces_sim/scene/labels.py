@@ -30,11 +30,6 @@ def normalise_label(label: str) -> str:
     return "-".join(label.strip().lower().replace("_", " ").replace("-", " ").split())
 
 
-def material_of(label: str, label_map: LabelMap, table: MaterialTable) -> str | None:
-    """The material of a label, or None; see `find_material`."""
-    return find_material(label, label_map, table)[0]
-
-
 def find_material(label: str, label_map: LabelMap, table: MaterialTable) -> tuple[str | None, str]:
     """The material of a label or None, and the words of the label that decided, '' if it was the whole.
 

@@ -77,14 +77,11 @@ def find_storeys(scene: Scene, height: float = 1.5, ground: Ground | None = None
     """
     levels = _levels(scene, height)
     ground = ground or find_ground(scene, height)
-    if ground is None:
-        floors = np.array([level.height for level in levels] or [scene.bounds[0, 2]], float)
+    if ground is not None:
+        levels = _with_main_floor(ground, levels)
+    floors = np.array([level.height for level in levels] or [scene.bounds[0, 2]], float)
+    if ground is None or len(levels) <= 1:
         return Storeys(floors, np.ones(len(floors), bool), np.full(len(floors), np.nan))
-    levels = _with_main_floor(ground, levels)
-    if len(levels) <= 1:
-        floors = np.array([level.height for level in levels] or [scene.bounds[0, 2]], float)
-        return Storeys(floors, np.ones(1, bool), np.full(1, np.nan))
-    floors = np.array([level.height for level in levels])
     walked, above, area = _walked_and_area(ground, levels)
     largest = max(level.free for level in levels)
     kept, left_out = [0], []
@@ -110,8 +107,7 @@ def above_no_floor(scene: Scene, points: np.ndarray, floors: np.ndarray) -> np.n
     """(N,) whether the surface straight below each of `points` (N, 3) lies more than a step below the floor of its
     storey, `floors` (N,) m: a void, in a storey that is a gallery, or beside stairs."""
     below = drop(scene.geometry, points - scene.center) + scene.center[2]
-    out: np.ndarray = below < floors - STEP
-    return out
+    return below < floors - STEP
 
 
 def _levels(scene: Scene, height: float) -> list[_Level]:
@@ -193,8 +189,7 @@ def _joined_tiers(
     inner = np.union1d(low[core], high[core])
     edge = np.isin(low, inner) | np.isin(high, inner)
     flights = coo_array((np.ones(int(edge.sum())), (low[edge], high[edge])), shape=(count, count))
-    joined: np.ndarray = connected_components(flights, directed=False)[1][component]
-    return joined
+    return connected_components(flights, directed=False)[1][component]
 
 
 def _with_main_floor(ground: Ground, levels: list[_Level]) -> list[_Level]:

@@ -45,7 +45,8 @@ def outward_sides(scene: Scene) -> np.ndarray:
 def find_sides(scene: Scene) -> Sides:
     """Which side of each face is out."""
     count = len(scene.faces)
-    ends, alike = zip(*(_neighbours(faces) for faces in (scene.faces, _in_place(scene))), strict=True)
+    _, in_place = welded_faces(scene.vertices, scene.faces, _WELD)
+    ends, alike = zip(*(_neighbours(faces) for faces in (scene.faces, in_place)), strict=True)
     pairs, same = np.concatenate(ends, axis=1), np.concatenate(alike)
     # Every face as it is, and turned: what is wound alike hangs together.
     first = np.concatenate([pairs[0], pairs[0] + count])
@@ -58,15 +59,10 @@ def find_sides(scene: Scene) -> Sides:
     piece = np.unique(np.minimum(kept, turned), return_inverse=True)[1]
     number = int(piece.max()) + 1
     sign = np.where(kept <= turned, 1.0, -1.0)
-    sign = np.where(kept == turned, 1.0, sign)
     sign *= np.where(np.bincount(piece, sign * scene.areas, number) < 0.0, -1.0, 1.0)[piece]
     inside_out, thin = _bodies(scene, piece, sign)
     sign *= np.where(inside_out, -1.0, 1.0)[piece]
     return Sides(sign.astype(np.int64), thin[piece])
-
-
-def _in_place(scene: Scene) -> np.ndarray:
-    return welded_faces(scene.vertices, scene.faces, _WELD)[1]
 
 
 def _neighbours(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -86,10 +82,8 @@ def _bodies(scene: Scene, piece: np.ndarray, sign: np.ndarray) -> tuple[np.ndarr
     area = np.asarray(np.bincount(piece, scene.areas), float)
     vectors = (scene.areas * sign)[:, None] * scene.normals
     opening = np.stack([np.bincount(piece, column) for column in vectors.T], axis=1)
-    middle: np.ndarray = np.stack(
-        [np.bincount(piece, scene.areas * x) for x in middles(scene.corners).T], axis=1
-    )
-    middle = middle / np.maximum(area, 1e-300)[:, None]
+    weighted = (np.bincount(piece, scene.areas * x) for x in middles(scene.corners).T)
+    middle = np.stack(list(weighted), axis=1) / np.maximum(area, 1e-300)[:, None]
     height = ((scene.corners[:, 0] - middle[piece]) * vectors).sum(axis=1)
     volume = np.bincount(piece, height) / 3.0
     missing = np.linalg.norm(opening, axis=1) / np.maximum(area, 1e-300)

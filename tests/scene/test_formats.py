@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.labels import load_labels, material_of
+from soundspaces_sim.scene.labels import find_material, load_labels
 from soundspaces_sim.scene.load import decimate_mesh
 from soundspaces_sim.scene.materials import load_materials
 from tests import iso9613
@@ -264,14 +264,14 @@ def test_forty_materials_and_every_known_class() -> None:
     ).split()
     classes = replica.read_text().split()
     assert len(classes) == 101
-    missing = [n for n in classes + mpcat + scannet if material_of(n, labels, table_) is None]
+    missing = [n for n in classes + mpcat + scannet if find_material(n, labels, table_)[0] is None]
     assert missing == ["refridgerator"]  # ScanNet's own spelling
-    assert material_of("Chair.012", labels, table_) == "wood-thick"
-    assert material_of("windows", labels, table_) == "glass"
-    assert material_of("marble", labels, table_) == "marble"
-    assert material_of("gizmo", labels, table_) is None
+    assert find_material("Chair.012", labels, table_)[0] == "wood-thick"
+    assert find_material("windows", labels, table_)[0] == "glass"
+    assert find_material("marble", labels, table_)[0] == "marble"
+    assert find_material("gizmo", labels, table_)[0] is None
     # the paper: floor carpet, wall gypsum board, ceiling acoustic tile
-    assert [material_of(n, labels, table_) for n in ("floor", "wall", "ceiling")] == [
+    assert [find_material(n, labels, table_)[0] for n in ("floor", "wall", "ceiling")] == [
         "carpet", "gypsum-board", "acoustic-tile",
     ]  # fmt: skip
 

@@ -17,7 +17,7 @@ import trimesh
 import soundspaces_sim as ss
 from soundspaces_sim.build.inspect import report_text
 from soundspaces_sim.scene.formats import FORMATS
-from soundspaces_sim.scene.labels import load_labels, material_of
+from soundspaces_sim.scene.labels import find_material, load_labels
 from soundspaces_sim.scene.materials import load_materials
 from tests.marks import few
 from tests.rooms import box, table
@@ -168,7 +168,7 @@ def test_made_up_names_are_no_labels(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_labels_are_matched_by_words(label: str, material: str | None) -> None:
-    assert material_of(label, load_labels(), load_materials()) == material
+    assert find_material(label, load_labels(), load_materials())[0] == material
 
 
 def test_words_of_ones_own_and_bad_label_files(tmp_path: Path) -> None:

@@ -97,8 +97,7 @@ def _read(source: str) -> LabelledMesh:
         read = of_neighbour(f"{source}: a generated building", _BUILDING)
     except ConfigError as error:
         raise SceneError(str(error)) from None
-    mesh: LabelledMesh = read(source)
-    return mesh
+    return read(source)
 
 
 FORMAT = SceneFormat(

@@ -230,8 +230,7 @@ def plain_gltf(tree: Tree, painted: bool = False) -> bytes:
 def base_color(material: Tree) -> Tree | None:
     """Which texture a material's colour is from: an object with `index`, and maybe `texCoord`; None if there is
     none."""
-    found: Tree | None = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
-    return found
+    return material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
 
 
 def view_of(tree: Tree, buffers: Buffers, number: Any) -> bytes:
