@@ -101,7 +101,7 @@ def test_a_figure(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its own row is all that the task, the space and the observations need."""
     from soundspaces_sim.nav import sensor_table
-    from soundspaces_sim.nav.task import TaskOptions, sensor_bounds, sensor_shape
+    from soundspaces_sim.nav.task import TaskOptions
 
     def count(_scenes: Any, state: Any, _rng: np.random.Generator, into: np.ndarray) -> None:
         into[0] = state.steps
@@ -110,4 +110,5 @@ def test_a_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(rows, "clock", sensor_table.Sensor(lambda *_: (1,), (0.0,), (500.0,), count))
     task = TaskOptions(task="PointGoal", sensors=("collision", "clock"))
     assert task.heard == frozenset()
-    assert sensor_shape("clock", 16000, 128) == (1,) and sensor_bounds("clock") == ((0.0,), (500.0,))
+    clock = sensor_table.SENSOR_TABLE["clock"]
+    assert clock.shape(16000, 128) == (1,) and (clock.low, clock.high) == ((0.0,), (500.0,))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.build.job_file import Job, open_job
+from soundspaces_sim.build.job_file import Job
 from soundspaces_sim.build.plan import Span, echogram_entry, shard_attributes, shard_key
 from soundspaces_sim.build.square import Square, squares
 from soundspaces_sim.core.errors import DatasetError
@@ -34,14 +34,6 @@ from soundspaces_sim.rendering.binaural import binaural_rirs
 from soundspaces_sim.rendering.renderers import find_renderer
 from soundspaces_sim.transport.integrator import Progress
 from soundspaces_sim.transport.simulate import simulate_pairs
-
-
-def run_tile(folder: str | Path, number: int) -> int:
-    """Make a tile of the job in `folder`, in any process on any machine; how many shards were missing.
-
-    Raises `DatasetError` if there is no such job, tile, or place to write to.
-    """
-    return build_tiles(open_job(folder), [number])[number]
 
 
 def build_tiles(

@@ -66,16 +66,11 @@ def scene_of_dataset(ds: RirDataset) -> Scene:
         # One command makes datasets of several scenes.
         own = [word for word in plain if Path(word).stem == ds.scene]
         source = (own or plain or [source])[0]
-        for flag, name in (
-            ("--materials", "materials"),
-            ("--labels", "labels"),
-            ("--up", "up"),
-            ("--unit", "unit"),
-        ):
-            if flag in words[:-1]:
-                options[name] = words[words.index(flag) + 1]
-        if "--decimate" in words[:-1]:
-            options["decimate"] = float(words[words.index("--decimate") + 1])
+        for name in ("materials", "labels", "up", "unit", "decimate"):
+            if f"--{name}" in words[:-1]:
+                options[name] = words[words.index(f"--{name}") + 1]
+        if "decimate" in options:
+            options["decimate"] = float(options["decimate"])
         for flag, value in (("--ceiling", True), ("--no-ceiling", False)):
             if flag in words:
                 options["ceiling"] = value

@@ -22,9 +22,10 @@ from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.episodes import Episode, read_episodes
 from soundspaces_sim.nav.generate import EpisodeMaker
 from soundspaces_sim.nav.metrics import NAMES
+from soundspaces_sim.nav.sensor_table import SENSOR_TABLE
 from soundspaces_sim.nav.sensors import SensorSuite
 from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.task import SENSORS, sensor_bounds
+from soundspaces_sim.nav.task import SENSORS
 
 need("an environment", "nav")
 
@@ -81,7 +82,10 @@ class Setting:
             self.episodes = tuple(read)
         self.sensor_suite = SensorSuite(self.data, self.bank, options, options.cache)
         self.observation_space = spaces.Dict(
-            {s: box(*sensor_bounds(s), shape) for s, shape in self.sensor_suite.shapes.items()}
+            {
+                s: box(SENSOR_TABLE[s].low, SENSOR_TABLE[s].high, shape)
+                for s, shape in self.sensor_suite.shapes.items()
+            }
         )
         self.action_space = spaces.Discrete(4)
 
@@ -242,8 +246,7 @@ class AudioNavEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         return self._draw(self.setting.data.dataset(self.state.episode.scene), self.state)
 
     def _draw(self, dataset: RirDataset, state: Any) -> np.ndarray:
-        drawn: np.ndarray = of_neighbour("a picture", _MAP)(dataset, state, self.trail)
-        return drawn
+        return of_neighbour("a picture", _MAP)(dataset, state, self.trail)
 
     def close(self) -> None:
         """Close the datasets' files."""

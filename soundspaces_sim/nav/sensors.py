@@ -14,7 +14,7 @@ from soundspaces_sim.nav.data import NavData
 from soundspaces_sim.nav.episode_state import EpisodeState
 from soundspaces_sim.nav.sensor_table import SENSOR_TABLE, SINGLE_OF_HALF, widen
 from soundspaces_sim.nav.sounds import SoundBank
-from soundspaces_sim.nav.task import TaskOptions, sensor_shape
+from soundspaces_sim.nav.task import TaskOptions
 from soundspaces_sim.nav.views import Views
 
 _shared: dict[int, BlockCache] = {}
@@ -34,7 +34,7 @@ class SensorSuite:
         audio_sensor.check_cache(cache)
         self.data, self.bank, self.task, self.cache = data, bank, task, cache
         self.gps_sigma = task.gps_sigma
-        self.shapes = {s: sensor_shape(s, bank.rate, task.depth_size) for s in task.sensors}
+        self.shapes = {s: SENSOR_TABLE[s].shape(bank.rate, task.depth_size) for s in task.sensors}
         # Noise changes the waveform: its pictures cannot be kept.
         self._kinds = frozenset(("audiogoal",)) if task.heard and task.snr_db is not None else task.heard
         self._audio: dict[str, AudioSensor] = {}

@@ -79,13 +79,3 @@ def as_sensors(sensors: Sequence[str] | None) -> tuple[str, ...]:
     if isinstance(sensors, str):
         raise ConfigError(f"sensors: expected a list of names, got {sensors!r}")
     return tuple(sensors or ())
-
-
-def sensor_shape(sensor: str, rate: int, depth_size: int) -> tuple[int, ...]:
-    """Shape of a sensor's observation; all are float32."""
-    return SENSOR_TABLE[sensor].shape(rate, depth_size)
-
-
-def sensor_bounds(sensor: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Least and largest value: one for all elements, or one per element."""
-    return SENSOR_TABLE[sensor].low, SENSOR_TABLE[sensor].high

@@ -42,12 +42,11 @@ def as_directivity(given: Directivity | str | None, what: str) -> Directivity | 
         raise ConfigError(f"{what}: expected a Directivity or its name, got {given!r}")
     kind = find(what, DIRECTIVITIES, given)
     try:
-        made: Directivity = kind()
+        return kind()
     except TypeError as error:
         raise ConfigError(
             f"{what}: {given!r} needs arguments ({error}); give soundspaces_sim.{kind.__name__}(…)"
         ) from None
-    return made
 
 
 _ANY_HZ = np.array([1000.0])  # of a pattern that does not depend on frequency
@@ -86,6 +85,11 @@ class Cardioid(Directivity):
         return _ANY_HZ, pressure**2
 
 
+def _increasing(frequency: np.ndarray) -> bool:
+    """Whether frequencies are above 0 and each is above the one before."""
+    return bool((frequency > 0.0).all() and (np.diff(frequency) > 0.0).all())
+
+
 @dataclass(frozen=True)
 class FrequencyDependent(Directivity):
     """`patterns` at increasing `frequencies` in Hz, e.g. narrower cardioids higher up; between two of them
@@ -103,11 +107,7 @@ class FrequencyDependent(Directivity):
         object.__setattr__(self, "frequencies", tuple(float(f) for f in self.frequencies))
         object.__setattr__(self, "patterns", tuple(self.patterns))
         f = np.array(self.frequencies)
-        if (
-            len(f) == 0
-            or len(f) != len(self.patterns)
-            or not ((f > 0.0).all() and (np.diff(f) > 0.0).all())
-        ):
+        if len(f) == 0 or len(f) != len(self.patterns) or not _increasing(f):
             raise ConfigError(
                 f"FrequencyDependent: expected increasing frequencies in Hz and as many patterns, got {len(f)} "
                 f"frequencies {self.frequencies} and {len(self.patterns)} patterns"
@@ -144,12 +144,7 @@ class SphericalHarmonics(Directivity):
                 f"SphericalHarmonics: expected numbers of shape (n,) or (k, n) ({error})"
             ) from None
         square = rows.ndim == 2 and math.isqrt(rows.shape[1]) ** 2 == rows.shape[1] > 0
-        if (
-            not square
-            or f.ndim != 1
-            or len(f) != len(rows)
-            or not ((f > 0.0).all() and (np.diff(f) > 0.0).all())
-        ):
+        if not square or f.ndim != 1 or len(f) != len(rows) or not _increasing(f):
             raise ConfigError(
                 "SphericalHarmonics: expected (N + 1)^2 coefficients at each of some increasing frequencies, got "
                 f"coefficients {rows.shape} at {f.size} frequencies"
@@ -209,8 +204,7 @@ def _between() -> Callable[[np.ndarray], np.ndarray]:
     """dB at any angle in degrees, without overshoot between measured ones."""
     from scipy.interpolate import PchipInterpolator  # what renders without a talker does not load it
 
-    curve: Callable[[np.ndarray], np.ndarray] = PchipInterpolator(_ANGLE_DEG, _LEVEL_DB)
-    return curve
+    return PchipInterpolator(_ANGLE_DEG, _LEVEL_DB)
 
 
 @dataclass(frozen=True, kw_only=True)

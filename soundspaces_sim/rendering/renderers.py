@@ -41,5 +41,4 @@ def check_renderer(name: str) -> None:
 
 def find_renderer(name: str) -> Renderer:
     """The renderer of that name. Raises `ConfigError`."""
-    make: Renderer = find(_SETTING, RENDERERS, name)
-    return make
+    return find(_SETTING, RENDERERS, name)

@@ -130,7 +130,6 @@ class Rendering:
         `echogram` gives echograms of `duration` s. Raises `PointError`, `ConfigError`.
         """
         render = of_neighbour("sources and listeners that move in metres", _MOVING)
-        moved: np.ndarray = render(
+        return render(
             self, audio, sources, listeners, orientations_deg, source, points, echogram, duration
         )
-        return moved

@@ -1,4 +1,4 @@
-"""Ambisonic signals in other conventions, and turned: nothing here makes sound.
+"""Ambisonic signals in other conventions: nothing here makes sound.
 
 Inside the package signals are ACN / SN3D in world axes (X front, Y left, Z up).
 """
@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
-from soundspaces_sim.core.numerics.axes import CHANNELS, DEGREE, head_matrix, rotation_matrix
+from soundspaces_sim.core.numerics.axes import CHANNELS, DEGREE
 
 Convention = Literal["sn3d", "n3d", "fuma", "soundspaces1"]
 
@@ -43,24 +43,11 @@ def convert(signal: np.ndarray, target: Convention, source: Convention = "sn3d")
     Furse-Malham W X Y Z R S T U V; ``soundspaces1`` ACN, orthonormal with the Condon-Shortley sign, as
     the RIRs published with SoundSpaces (2020).
     """
-    _check(signal)
+    if np.ndim(signal) < 1 or len(signal) != CHANNELS:
+        raise ConfigError(f"signal: expected shape (9, …), got {np.shape(signal)}")
     tail = (1,) * (np.ndim(signal) - 1)
     rows, gains = _rows_and_gains(source)
     own = np.empty_like(signal)
     own[rows] = signal / gains.reshape(-1, *tail).astype(signal.dtype)
     rows, gains = _rows_and_gains(target)
     return np.asarray(own[rows] * gains.reshape(-1, *tail).astype(signal.dtype))
-
-
-def _check(signal: np.ndarray) -> None:
-    if np.ndim(signal) < 1 or len(signal) != CHANNELS:
-        raise ConfigError(f"signal: expected shape (9, …), got {np.shape(signal)}")
-
-
-def rotate(
-    signal: np.ndarray, heading_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0
-) -> np.ndarray:
-    """A (9, n) world-axes signal as heard by a head turned so; angles as `head_matrix`. Exact."""
-    _check(signal)
-    matrix = rotation_matrix(head_matrix(heading_deg, pitch_deg, roll_deg))
-    return np.asarray(np.tensordot(matrix.astype(signal.dtype), signal, axes=1))

@@ -12,8 +12,10 @@ from soundspaces_sim.build.engines import Engine, Options, Task, Watch
 
 _RUN = """
 import json, sys
-from soundspaces_sim.build.tile import run_tile
-print(json.dumps([run_tile(sys.argv[1], int(k)) for k in sys.argv[2:]]))
+from soundspaces_sim.build.job_file import open_job
+from soundspaces_sim.build.tile import build_tiles
+folder, *numbers = sys.argv[1:]
+print(json.dumps([build_tiles(open_job(folder), [int(k)])[int(k)] for k in numbers]))
 """
 
 

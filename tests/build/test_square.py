@@ -10,10 +10,11 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.build import estimate, tile as tiles_of
+from soundspaces_sim.build.job_file import open_job
 from soundspaces_sim.build.plan import JobPlan
 from soundspaces_sim.build.prepare import open_dataset_job
 from soundspaces_sim.build.square import squares
-from soundspaces_sim.build.tile import build_tiles, run_tile
+from soundspaces_sim.build.tile import build_tiles
 from soundspaces_sim.build.worker import work_here
 from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.dataset.format.manifest import Manifest
@@ -104,7 +105,7 @@ def test_bytes_are_those_of_tiles_made_alone(
     alone = tmp_path / "alone" / "room"
     prepared = open_dataset_job(scene, alone, job, POINTS)
     for number in range(len(prepared.plan.tiles)):
-        run_tile(alone, number)
+        build_tiles(open_job(alone), [number])
     assert simulated[1:] == [(4, 0), (4, 4), (4, 0)]
     shards = sorted(made.folder.glob("*.h5"))
     assert len(shards) == 4
@@ -145,7 +146,7 @@ def test_a_worker_tells_of_each_tile(scene: ss.Scene, tmp_path: Path) -> None:
     assert told[-1] == 4 + 4 + 8  # a point counts once for each tile that it is in
     assert [d.profile is None for d in (done[1], done[0], done[2])] == [False, True, True]
     with pytest.raises(ss.DatasetError, match="tile 3 is out of range"):
-        run_tile(folder, 3)
+        build_tiles(open_job(folder), [3])
 
 
 def test_a_forecast_knows_what_is_simulated_as_one(

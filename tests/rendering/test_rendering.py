@@ -8,7 +8,7 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.special import sph_harm_y
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.axes import spherical_harmonics
+from soundspaces_sim.core.numerics.axes import head_matrix, rotation_matrix, spherical_harmonics
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
 from soundspaces_sim.echogram.filters import band_shares, white_noise
@@ -17,7 +17,6 @@ from soundspaces_sim.rendering.binaural import binaural_rirs
 from soundspaces_sim.rendering.decoder import Method, decoder_filters, equalised_spectra
 from soundspaces_sim.rendering.hrtf import HrtfError, load_hrtf
 from soundspaces_sim.rendering.seed_paper import paper_rir
-from soundspaces_sim.rendering.soundfield import rotate
 from soundspaces_sim.transport.tables import harmonics
 from tests.conftest import energy
 from tests.marks import few
@@ -74,7 +73,7 @@ def test_rotation_moves_sources_clockwise_by_the_heading() -> None:
         np.cos(turn) * d[:, 0] + np.sin(turn) * d[:, 1], np.cos(turn) * d[:, 1] - np.sin(turn) * d[:, 0],
         d[:, 2],
     ], axis=1)  # fmt: skip
-    got = rotate(spherical_harmonics(d).T, 37.0)
+    got = rotation_matrix(head_matrix(37.0)) @ spherical_harmonics(d).T
     np.testing.assert_allclose(got, spherical_harmonics(turned).T, atol=1e-12)
 
 

@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 
 from soundspaces_sim.build.engines import Engine, Options, Task, Watch, refuse
 from soundspaces_sim.build.engines.capacity import Shape, choose_shape
@@ -61,10 +62,7 @@ def _run_here(tasks: Sequence[Task], watch: Watch) -> None:
     while left:
         first = left[0]
         of_folder = {t.number: t for t in left if t.folder == first.folder}
-
-        def traced(points: int, task: Task = first) -> None:
-            watch.under_way(task, points)
-
+        traced = partial(watch.under_way, first)
         done = {of_folder[n]: d for n, d in work_here(str(first.folder), [*of_folder], traced).items()}
         for task, made in done.items():
             watch.done(task, made.made)
