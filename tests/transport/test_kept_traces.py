@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import soundspaces_sim as ss
+from soundspaces_sim.build.job_file import open_job
 from soundspaces_sim.build.prepare import open_dataset_job
-from soundspaces_sim.build.tile import run_tile
+from soundspaces_sim.build.tile import build_tiles
 from soundspaces_sim.core.config import DatasetConfig
 from soundspaces_sim.transport import integrator
 from soundspaces_sim.transport.kept_traces import MEMORY, KeptTraces
@@ -154,7 +155,7 @@ def test_a_job_keeps_and_a_tile_alone_does_not(tmp_path: Path, traced: list[int]
     alone = tmp_path / "alone" / "room"
     prepared = open_dataset_job(scene, alone, config, POINTS)
     for number in range(len(prepared.plan.tiles)):
-        run_tile(alone, number)
+        build_tiles(open_job(alone), [number])
     shards = sorted(result.folder.glob("*.h5"))
     assert len(shards) == 9
     for shard in shards:
