@@ -29,7 +29,7 @@ SOURCES: dict[str, tuple[str, ...]] = {
         "allen1979",
     ),
     "radiance transfer": ("siltanen2007", "bai2015"),
-    "diffraction": ("kouyoumjian1974", "pierce1974", "svensson1999", "rindel1986"),
+    "diffraction": ("kouyoumjian1974", "deygout1966", "pierce1974", "svensson1999", "rindel1986"),
     "locally reacting walls": ("paris1928", "kuttruff2009"),
     "scattering by size": ("rindel1986", "christensen2005"),
     "air": ("iso9613",),
