@@ -1,4 +1,4 @@
-"""The shortest ways round edges, however many: first arrivals of points far out of sight of each other.
+"""The shortest ways round edges, up to six: first arrivals of points far out of sight of each other.
 
 A point's ways are found once for all its pairs, as navigation meshes and visibility graphs do it: edges that see
 each other are the nodes (`scene_edges`), and the shortest way to each goes on from the shortest way to another one.
