@@ -143,8 +143,17 @@ def _found(scene: ss.Scene, points: np.ndarray) -> list[list[ss.Arrival]]:
 @pytest.mark.parametrize(("triangles", "noise"), [(384_000, 0.005), (2_300_000, 0.002)])
 @pytest.mark.parametrize("name", ["demo", "home-7001", "home-7002", "home-7003"])
 def test_first_arrivals_of_a_scan_are_those_of_its_mesh(name: str, triangles: int, noise: float) -> None:
-    """24 points, pairs out of sight: four of five first arrivals come within 1 ms of the clean mesh's, and 97 of 100 pairs
-    that have one there have one."""
+    _compare_first_arrivals(name, triangles, noise)
+
+
+@ci_slow
+def test_first_arrivals_of_a_small_scan_are_those_of_its_mesh() -> None:
+    _compare_first_arrivals("demo", 384_000, 0.005)
+
+
+def _compare_first_arrivals(name: str, triangles: int, noise: float) -> None:
+    """24 points, pairs out of sight: 85 of 100 first arrivals come within 1 ms of the clean mesh's, and every pair that
+    has one there has one."""
     clean = _unlabelled(ss.load_scene(name))
     points = _places_of(clean)
     scan, later = _scanned(clean, triangles, noise), list[float]()
@@ -154,5 +163,5 @@ def test_first_arrivals_of_a_scan_are_those_of_its_mesh(name: str, triangles: in
         first = min((a.delay for a in other), default=np.inf)
         later.append(first - min(a.delay for a in one))
     assert len(later) > 50
-    assert np.mean(np.abs(later) < 1e-3) >= 0.8
-    assert np.mean(np.isinf(later)) < 0.03
+    assert np.isfinite(later).all()
+    assert np.mean(np.abs(later) < 1e-3) >= 0.85

@@ -612,58 +612,57 @@ def _add_ways(
 ) -> None:
     """The shortest way round several edges, from the ways of either point to the edges that the other one sees;
     with it those by an edge more, near whose shadow an end is."""
-    edges, view, way, p, q = context.edges, context.sight, scratch.way, ends.p.at, ends.q.at
+    edges, way, p, q = context.edges, scratch.way, ends.p.at, ends.q.at
     of_q, of_p = row_of(b.seen, ends.v), row_of(a.seen, ends.u)
-    from_p = choose_ways(edges.wedges, a.ways, i, of_q, b.seen.wedge, q, 0, way)
-    from_q = choose_ways(edges.wedges, b.ways, j, of_p, a.seen.wedge, p, 1, way)
-    m = n = count = 0
-    while count == 0 and (m < from_p or n < from_q):
+    from_p = choose_ways(edges.wedges, a.ways, i, of_q, b.seen.wedge, b.seen.phi, q, 0, way)
+    from_q = choose_ways(edges.wedges, b.ways, j, of_p, a.seen.wedge, a.seen.phi, p, 1, way)
+    m = n = count = solved = 0
+    heard = False
+    while not heard and (m < from_p or n < from_q):
         if n == from_q or (m < from_p and way.total[0, m] <= way.total[1, n]):
-            count, length = solve_way(
-                view, edges, set_way(a.ways, i, way.last[0, m], False, way), p, q, way
-            )
+            count = set_way(a.ways, i, way.last[0, m], False, way)
             m += 1
         else:
-            count, length = solve_way(
-                view, edges, set_way(b.ways, j, way.last[1, n], True, way), p, q, way
-            )
+            count = set_way(b.ways, j, way.last[1, n], True, way)
             n += 1
-        if count > 0:
-            _add_way(context, ends, count, length, 0, scratch)
-    if count == 0:
+        count, heard = _add_way(context, ends, count, solved, scratch)
+        solved += count > 0
+    if not heard:
         return
-    solved, first, last = 1, way.edge[0], way.edge[count - 1]
+    first, last = way.edge[0], way.edge[count - 1]
     for k in range(of_q[0], of_q[1]):
         e = b.seen.wedge[k]
         if in_light_of(a.ways, i, e, last, b.seen.phi[k]):
-            count, length = solve_way(view, edges, set_way(a.ways, i, e, False, way), p, q, way)
-            solved += _add_way(context, ends, count, length, solved, scratch)
+            count = set_way(a.ways, i, e, False, way)
+            solved += _add_way(context, ends, count, solved, scratch)[0] > 0
     for k in range(of_p[0], of_p[1]):
         e = a.seen.wedge[k]
         if in_light_of(b.ways, j, e, first, a.seen.phi[k]):
-            count, length = solve_way(view, edges, set_way(b.ways, j, e, True, way), p, q, way)
-            solved += _add_way(context, ends, count, length, solved, scratch)
+            count = set_way(b.ways, j, e, True, way)
+            solved += _add_way(context, ends, count, solved, scratch)[0] > 0
 
 
 @part
 def _add_way(
-    context: Context, ends: _Ends, count: int, length: float, solved: int, scratch: Scratch
-) -> int:
-    """Add the wave of the way at hand, if it is not one edge or two of one face, which are there: 1 if the way is
-    new."""
+    context: Context, ends: _Ends, count: int, solved: int, scratch: Scratch
+) -> tuple[int, bool]:
+    """Solve the way at hand, and add its wave, if it is not one edge or two of one face, which are there: (how many
+    edges it has, 0 for one that is not free or not new, whether it is heard)."""
     way, wedges, p, q = scratch.way, context.edges.wedges, ends.p.at, ends.q.at
+    count, length = solve_way(context.sight, context.edges, count, p, q, way)
     if count == 0 or not is_new(count, solved, way):
-        return 0
+        return 0, False
     if count == 1 or (count == 2 and way.common[0]):
-        return 1
-    if way_field(
+        return count, True
+    if not way_field(
         wedges, count, p, q, length, context.spectrum, scratch.least, way, scratch.double, scratch.field
     ):
-        e, f = way.edge[0], way.edge[count - 1]
-        to_e = Leg(True, met_point(wedges, e, way.z[0]), -1)
-        to_f = Leg(True, met_point(wedges, f, way.z[count - 1]), -1)
-        _add_by_edges(context, ends, (e, f), (to_e, to_f), length, count > 2, scratch)
-    return 1
+        return count, False
+    e, f = way.edge[0], way.edge[count - 1]
+    to_e = Leg(True, met_point(wedges, e, way.z[0]), -1)
+    to_f = Leg(True, met_point(wedges, f, way.z[count - 1]), -1)
+    _add_by_edges(context, ends, (e, f), (to_e, to_f), length, count > 2, scratch)
+    return count, True
 
 
 @part

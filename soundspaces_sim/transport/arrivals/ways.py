@@ -206,8 +206,10 @@ def find_ways(
 
 @part(forceinline=True)
 def _near_shadow(phi: float, towards: float) -> float:
-    """1 of an end in the shadow or near it; down to 0 in the light, `_NEAR_SHADOW` from the boundary."""
-    return cosine_taper(2.0 * max((math.pi - abs(phi - towards)) / _NEAR_SHADOW - 0.5, 0.0))
+    """1 of an end in the shadow or near it; down to 0 in the light, `_NEAR_SHADOW` from the boundary. Beyond, 1: an
+    edge that is needed there is fitted, and lies beside what is in the way."""
+    light = (math.pi - abs(phi - towards)) / _NEAR_SHADOW
+    return cosine_taper(2.0 * max(light - 0.5, 0.0)) if light < 1.0 else 1.0
 
 
 @part
@@ -217,17 +219,18 @@ def choose_ways(
     i: int,
     rows: tuple[int, int],
     wedge: np.ndarray,
+    phi: np.ndarray,
     q: Vec3,
     tree: int,
     scratch: WayScratch,
 ) -> int:
-    """The shortest ways from point i to q by their last edges, rows of `wedge`: into `total` and `last` of a tree,
-    the shortest first; how many."""
+    """The shortest ways from point i to q by their last edges, rows of `wedge` and of q's angles `phi` about them,
+    where q is in their shadow or near it: into `total` and `last` of a tree, the shortest first; how many."""
     count, total, last = 0, scratch.total[tree], scratch.last[tree]
     for n in range(rows[0], rows[1]):
         e = wedge[n]
         way = ways.length[i, e] + distance(edge_point(wedges, e, ways.z[i, e]), q)
-        if not way < math.inf:
+        if not way < math.inf or abs(phi[n] - ways.phi[i, e]) < math.pi - _NEAR_SHADOW:
             continue
         k = count
         while k > 0 and total[k - 1] > way:
@@ -335,8 +338,8 @@ def _insert(n: int, count: int, e: int, z: float, scratch: WayScratch) -> None:
 
 
 @part
-def _measure(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> tuple[bool, float]:
-    """Legs and angles of the way at hand: (whether it has any, its length, m)."""
+def _measure(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> tuple[int, float]:
+    """Legs and angles of the way at hand: (`_set_angles`, its length, m)."""
     total = 0.0
     for n in range(count + 1):
         at = _place(wedges, scratch, n, count, p, q)
@@ -349,10 +352,10 @@ def _measure(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) 
 def solve_way(
     view: View, edges: Edges, count: int, p: Vec3, q: Vec3, scratch: WayScratch
 ) -> tuple[int, float]:
-    """Pull the way at hand taut, or leave it as rays have found it; leave out edges in whose light it passes, and
-    add those of narrow faces along which it goes: (how many edges it has, its length, m); 0 if something is in the
-    way."""
-    wedges, ok, total = edges.wedges, False, math.inf
+    """Pull the way at hand taut, or leave it as rays have found it; leave out edges in whose light it passes, or on
+    whose line the place before or after is, and add those of narrow faces along which it goes: (how many edges it
+    has, its length, m); 0 if something is in the way."""
+    wedges, total = edges.wedges, math.inf
     while count > 0:
         for n in range(count):
             scratch.z[n] = scratch.found[n]
@@ -362,32 +365,43 @@ def solve_way(
                 scratch.z[n] = scratch.found[n]
             if not _all_free(view, wedges, count, p, q, scratch):
                 return 0, math.inf
-        ok, total = _measure(wedges, count, p, q, scratch)
-        slack = _slack(view, wedges, count, scratch)
-        if not ok or slack < 0:
+        needless, total = _measure(wedges, count, p, q, scratch)
+        if needless < 0:
+            needless = _slack(view, wedges, count, p, q, scratch)
+        if needless < 0:
             break
-        _leave_out(slack, count, scratch)
+        _leave_out(needless, count, scratch)
         count -= 1
     before = count
     for n in range(_MOST_EDGES - 1):
-        if ok and n < count - 1:
+        if n < count - 1:
             count = _add_face(edges, n, count, p, q, scratch)
     if count > before:
         _pull_taut(wedges, count, p, q, scratch)
-        ok, total = _measure(wedges, count, p, q, scratch)
-    return count if ok else 0, total
+        needless, total = _measure(wedges, count, p, q, scratch)
+        if needless >= 0:
+            return 0, math.inf
+    return count, total
 
 
 @part
-def _slack(view: View, wedges: Wedges, count: int, scratch: WayScratch) -> int:
-    """An edge, but for the first and the last one, in whose light the way passes, and without which it is free; -1
-    for none."""
+def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
+    """An edge in whose light the way passes, and without which it is free; -1 for none. Of the first and the last
+    one the light near the shadow does not count: there the way by them fades."""
     edge, z = scratch.edge, scratch.z
-    for n in range(1, count - 1):
-        if abs(scratch.angle[n, 1] - scratch.angle[n, 0]) > math.pi - _ALONG:
+    for n in range(count if count > 1 else 0):
+        light = math.pi - (_ALONG if 0 < n < count - 1 else _NEAR_SHADOW)
+        if abs(scratch.angle[n, 1] - scratch.angle[n, 0]) > light:
             continue
-        at, to = met_point(wedges, edge[n - 1], z[n - 1]), met_point(wedges, edge[n + 1], z[n + 1])
-        if is_free(view.geometry, wedges, (edge[n - 1], edge[n + 1]), (at, to)):
+        before = met_point(wedges, edge[n - 1], z[n - 1]) if n > 0 else p
+        after = met_point(wedges, edge[n + 1], z[n + 1]) if n < count - 1 else q
+        if n == 0:
+            free = _reaches(view, wedges, p, edge[1], after)
+        elif n == count - 1:
+            free = _reaches(view, wedges, q, edge[n - 1], before)
+        else:
+            free = is_free(view.geometry, wedges, (edge[n - 1], edge[n + 1]), (before, after))
+        if free:
             return n
     return -1
 
@@ -430,15 +444,15 @@ def _in_sector(phi: float, sector: float, near: float) -> float:
 
 
 @part
-def _set_angles(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> bool:
-    """Angles of the way about its edges; False where it begins or ends on one."""
+def _set_angles(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
+    """Angles of the way about its edges: an edge on whose line it is before or after, -1 for none."""
     edge, angle = scratch.edge, scratch.angle
     for n in range(count):
         e, sector, off = edge[n], math.pi * wedges.n[edge[n]], length(row(wedges.offset, edge[n]))
         before = wedge_coordinates(wedges, e, _place(wedges, scratch, n - 1, count, p, q))
         after = wedge_coordinates(wedges, e, _place(wedges, scratch, n + 1, count, p, q))
         if min(before.r, after.r) < MIN_RADIUS:
-            return False
+            return n
         scratch.sine[n] = min((before.r + after.r) / (scratch.leg[n] + scratch.leg[n + 1]), 1.0)
         near_p = near_q = 0.0
         if n > 0:
@@ -453,7 +467,7 @@ def _set_angles(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratc
         angle[n, 1], angle[n + 1, 0] = leg
         scratch.common[n] = on_faces(leg, (math.pi * wedges.n[e], math.pi * wedges.n[f]))
     scratch.common[count - 1] = False
-    return True
+    return -1
 
 
 @part
@@ -528,7 +542,8 @@ def _multiply(
             double.wave[m] *= half * root * double_wedge_field(ends, spectrum.node[m] * sine, double)
         return
     turn = abs(angle[n, 1] - angle[n, 0])
-    passes = 1.0 if 0 < n < count - 1 and turn < math.pi else 0.0
+    light = math.pi if 0 < n < count - 1 else math.pi - _NEAR_SHADOW
+    passes = 1.0 if turn < light else 0.0
     plus, on = angle[n, 0] + angle[n, 1], math.inf
     other = 2.0 * math.pi * wedges.n[e] - plus
     path = EdgePath(
@@ -543,25 +558,31 @@ def _multiply(
 @part
 def _narrowest(
     wedges: Wedges, count: int, p: Vec3, q: Vec3, total: float, scratch: WayScratch
-) -> tuple[float, float]:
-    """Detours by the ends of the edge whose end is nearest to the way, the rest of which is unfolded, m."""
-    least, found, before = math.inf, (math.inf, math.inf), 0.0
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Of the edge whose end is nearest to the way, or farthest from it where the way is drawn to an end: detours by
+    both its ends, m, beyond the shortest path by its line, the rest of the way unfolded; -1 for an end beyond which
+    that path is, else 1."""
+    least, before = math.inf, 0.0
+    found, sides = (math.inf, math.inf), (1.0, 1.0)
     for n in range(count):
         before += scratch.leg[n]
-        e, z, sine, after = scratch.edge[n], scratch.z[n], scratch.sine[n], total - before
-        rises = _place(wedges, scratch, n + 1, count, p, q)
-        across = (
-            dot(subtract(rises, edge_point(wedges, e, z)), row(wedges.along, e)) / scratch.leg[n + 1]
-        )
-        ends = z - before * across, z + after * across
-        both = detours_of_ends(wedges.length[e], (before * sine, after * sine), ends, total)
+        e, z, after = scratch.edge[n], scratch.z[n], total - before
+        z_p, r_p = line_coordinates(wedges, e, _place(wedges, scratch, n - 1, count, p, q))
+        z_q, r_q = line_coordinates(wedges, e, _place(wedges, scratch, n + 1, count, p, q))
+        s, t = before / scratch.leg[n], after / scratch.leg[n + 1]
+        ends, legs = (z + s * (z_p - z), z + t * (z_q - z)), (s * r_p, t * r_q)
+        apex = ends[0] + (ends[1] - ends[0]) * legs[0] / (legs[0] + legs[1])
+        shortest = math.hypot(legs[0] + legs[1], ends[1] - ends[0])
+        both = detours_of_ends(wedges.length[e], legs, ends, shortest)
+        side = -1.0 if apex < 0.0 else 1.0, -1.0 if apex > wedges.length[e] else 1.0
         by = (
             math.inf if wedges.stands[e, 0] and min(ends) > 0.0 else both[0],
             math.inf if wedges.stands[e, 1] and max(ends) < wedges.length[e] else both[1],
         )
-        if min(by) < least:
-            least, found = min(by), by
-    return found
+        nearest = min(by[0] * side[0], by[1] * side[1])
+        if nearest < least:
+            least, found, sides = nearest, by, side
+    return found, sides
 
 
 @part
@@ -598,7 +619,8 @@ def way_field(
         angle[count - 1, 1], angle[count - 1, 0]
     )
     weight = math.sqrt(weight)
-    start, end = _narrowest(wedges, count, p, q, total, scratch)
+    (start, end), sides = _narrowest(wedges, count, p, q, total, scratch)
+    drawn = start if sides[0] < 0.0 else end if sides[1] < 0.0 else 0.0  # to an end, by so much
     boundary, loud = max(total - distance(p, q), 0.0), False
     for b in range(field.shape[0]):
         first, number = spectrum.first[b], spectrum.between.shape[2]
@@ -606,10 +628,9 @@ def way_field(
             k, u = spectrum.k[b, g], 0j
             for n in range(number):
                 u += spectrum.between[b, g, n] * double.wave[first + n]
-            share = of_end(beyond_end(k, start), start, boundary) + of_end(
-                beyond_end(k, end), end, boundary
-            )
-            u *= 0.5 * weight * share
+            share = sides[0] * of_end(beyond_end(k, start), start, boundary)
+            share += sides[1] * of_end(beyond_end(k, end), end, boundary)
+            u *= 0.5 * weight * share * complex(math.cos(k * drawn), math.sin(k * drawn))
             size = 0.5 * total * math.sqrt(u.real**2 + u.imag**2)
             field[b, g] = u / size if size > 1.0 else u
         own = field[b, 0].real ** 2 + field[b, 0].imag ** 2
