@@ -77,11 +77,11 @@ def _steps(kind: str, seed: int, walks: int) -> np.ndarray:
 
 #: dB: most that a step is beyond its neighbours in the two bands, as reached; docs/validation.md, Known issues
 _MOST = {
-    "pillar": (1.5, 0.7),
-    "half wall": (0.5, 0.3),
-    "screen": (1.2, 0.5),
-    "cupboard": (1.3, 1.5),
-    "table": (1.1, 0.6),
+    "pillar": (1.5, 0.8),
+    "half wall": (1.2, 0.4),
+    "screen": (1.1, 0.5),
+    "cupboard": (1.7, 2.0),
+    "table": (2.2, 0.8),
 }
 
 
@@ -97,6 +97,7 @@ def test_steps_of_a_few_walks(kind: str) -> None:
 @pytest.mark.parametrize("kind", _BODIES)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_steps_of_many_walks(kind: str, seed: int) -> None:
-    """Eight walks beside each body."""
+    """Eight walks beside each body: of 1,000 steps two are more than 1 dB beyond their neighbours."""
     steps = _steps(kind, seed, 8)
     assert (steps.max(axis=0) < _MOST[kind]).all(), steps.max(axis=0)
+    assert (np.mean(steps > 1.0, axis=0) < 2e-3).all()

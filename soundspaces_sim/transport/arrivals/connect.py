@@ -23,6 +23,7 @@ from soundspaces_sim.transport.arrivals.field import (
     Spectrum,
     Terms,
     Turn,
+    beyond_end,
     detours_of_ends,
     field_at,
     front_of,
@@ -82,6 +83,7 @@ _KINDS = np.array(EDGE_KINDS)
 _DIRECT = -1  # kind of the direct sound
 _HEARD = 1e-3  # of the energy that a pair has: what is diffracted fades in from so much on, in any band
 _HEARD_IMAGES = 3e-3  # the same where an end is an image
+_ALONG_FACE = 0.5  # rad, from a face: sound within it runs along the face
 _SAFE = 1.1  # times an estimate of a pressure
 _LITTLE = 1e-12  # of the energy
 _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, up to which it counts
@@ -275,6 +277,45 @@ def _edge_path(
     return ok and taper > 0.0, path
 
 
+class _Leaves(NamedTuple):
+    """Where sound that runs along a face of an edge leaves it by the side, at right angles to the edge."""
+
+    detour: float  # m, by that side over the straight path
+    weight: float  # 1 along the face, 0 where the end is `_ALONG_FACE` off it
+
+
+@part
+def _leaves(edges: Edges, e: int, path: EdgePath, c: WedgeCoordinates) -> _Leaves:
+    """Of one end about an edge, beyond either end of that; not where it leaves the face by a parallel edge."""
+    wedges, links, sector = edges.wedges, edges.links, math.pi * path.n
+    phi = min(c.phi, sector - c.phi)
+    before, after = c.z < 0.0 and not wedges.stands[e, 0], c.z > path.length and not wedges.stands[e, 1]
+    if phi >= _ALONG_FACE or not (before or after):
+        return _Leaves(0.0, 0.0)
+    side = 0.0 if before else path.length
+    rise, up, away = abs(c.z - side), c.r * math.sin(phi), c.r * math.cos(phi)
+    along = abs(min(max(path.apex, 0.0), path.length) - side)
+    weight = cosine_taper(phi / _ALONG_FACE) * cosine_taper(math.atan2(up, rise) / _ALONG_FACE)
+    for boundary in (path.minus, path.plus, path.other):
+        weight *= 1.0 - cosine_taper(abs(boundary - math.pi) / _ALONG_FACE)
+    across = away * along / (along + rise)
+    for m in range(links.start[e], links.start[e + 1]):
+        if (links.phi[m, 0] > 0.5 * sector) == (c.phi > 0.5 * sector):
+            weight *= cosine_taper(across / links.width[m])
+    straight = math.sqrt((along + rise) ** 2 + up**2 + away**2)
+    by_side = math.hypot(along + math.hypot(rise, up), away)
+    return _Leaves(max(by_side - straight, 0.0), weight)
+
+
+@part(forceinline=True)
+def _stays(k: float, leaves: _Leaves) -> float:
+    """What is left of a wave: nothing at the boundary of the shadow of the face's side, beyond which it is not."""
+    if leaves.weight <= 0.0:
+        return 1.0
+    b = beyond_end(k, leaves.detour)
+    return 1.0 - 2.0 * leaves.weight * math.sqrt(b.real**2 + b.imag**2)
+
+
 @part(forceinline=True)
 def _cosines(
     path: EdgePath, s: WedgeCoordinates, r: WedgeCoordinates, turns: tuple[Turn, Turn, Turn]
@@ -448,10 +489,12 @@ def _add_single(
     from_q = leg_to(context.sight, q, at)
     if not from_q.free:
         return
-    for k in range(len(least)):
-        mirror = _mirror(context, e, path, cos, k)
+    of_p, of_q = _leaves(context.edges, e, path, s), _leaves(context.edges, e, path, r)
+    for b in range(len(least)):
+        mirror = _mirror(context, e, path, cos, b)
         for g in range(field.shape[1]):
-            field[k, g] = field_at(path, front, spectrum.k[k, g], mirror)
+            k = spectrum.k[b, g]
+            field[b, g] = field_at(path, front, k, mirror) * _stays(k, of_p) * _stays(k, of_q)
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
