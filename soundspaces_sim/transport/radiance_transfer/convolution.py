@@ -104,7 +104,7 @@ class Blocks(NamedTuple):
 
 def _make_blocks(length: int, panels: int, sums: int) -> Blocks:
     """Of so many panels, and rows of sums."""
-    panel = np.zeros((panels, length, WIDTH), np.float32)  # columns that no one fills are summed too
+    panel = np.empty((panels, length, WIDTH), np.float32)
     return Blocks(panel, np.empty((sums + ROWS, WIDTH), np.float32))
 
 
@@ -132,14 +132,18 @@ def accumulate(
     left, right = (side.reshape(len(spectra), -1, length) for side in (rows, columns))
     halves, count = 2 if kind.crossed else 1, len(convolution.inverse)
     least = least_rows(p * (stop - start) * length)
-    over_rows(
-        _multiply, len(spectra), left, right, start, kind, spectra,
-        scratch=lambda: _make_blocks(length // halves, halves, 2 * ROWS), least=least,
-    )  # fmt: skip
+    if p * (stop - start) < _FEW:
+        over_rows(_multiply_few, len(spectra), left, right, start, kind, spectra, least=least)
+    else:
+        over_rows(
+            _multiply, len(spectra), left, right, start, kind, spectra,
+            scratch=lambda: _make_blocks(length // halves, halves, 2 * ROWS), least=least,
+        )  # fmt: skip
     back, least = spectra.reshape(products, -1), least_rows((stop - start) * convolution.inverse.size)
+    slab = min(_SLAB, -(-(stop - start) // WIDTH))
     over_rows(
         _transform_back, tables * p, convolution.inverse, back, (start, stop, at), kind, out,
-        scratch=lambda: _make_blocks(products, _SLAB, count), least=least,
+        scratch=lambda: _make_blocks(products, slab, count), least=least,
     )  # fmt: skip
 
 
@@ -159,9 +163,6 @@ def _multiply(
     panels, sums = scratch
     points, end, length = out.shape[1], out.shape[2], panels.shape[1]
     for r in range(first, last):
-        if points * end < _FEW:
-            _multiply_few(rows[r], columns[r], start, kind, out[r])
-            continue
         for low in range(0, end, WIDTH):
             high = min(low + WIDTH, end)
             for half in range(len(panels)):
@@ -216,7 +217,8 @@ def _transform_back(
 
 @part
 def _fill_panels(spectra: np.ndarray, low: int, high: int, panels: np.ndarray) -> None:
-    """Columns `low` to `high`, or as many as there is room for, of `spectra` (R, ·) in `panels` (·, R, WIDTH)."""
+    """Columns `low` to `high`, or as many as there is room for, of `spectra` (R, ·) in `panels` (·, R, WIDTH); zero
+    beyond."""
     for c in range(panels.shape[1]):
         for n in range(len(panels)):
             begin, width = (
@@ -225,6 +227,8 @@ def _fill_panels(spectra: np.ndarray, low: int, high: int, panels: np.ndarray) -
             )
             for j in range(width):
                 panels[n, c, j] = spectra[c, begin + j]
+            for j in range(width, np.uint64(WIDTH)):
+                panels[n, c, j] = 0.0
 
 
 @part(forceinline=True)
@@ -237,33 +241,37 @@ def _rows_from(i: int, count: int) -> tuple[int, int, int, int, int, int]:
 @part
 def _turn(columns: np.ndarray, low: int, high: int, first: int, panel: np.ndarray) -> None:
     """Rows `low` to `high` of `columns` (Q, patches) side by side in `panel` (patches, WIDTH), of patches from
-    `first` on; some rows at a time, so that whole cache lines are written."""
+    `first` on; some rows at a time, so that whole cache lines are written. Zero beyond."""
     begin = np.uint64(low)
     for j in range(0, high - low, _LINE):
         for c in range(len(panel)):
             for n in range(np.uint64(j), np.uint64(min(j + _LINE, high - low))):
                 panel[c, n] = columns[begin + n, first + c]
+    panel[:, high - low :] = 0.0
 
 
-@part(fastmath={"contract"})
-def _multiply_few(left: np.ndarray, right: np.ndarray, start: int, kind: Kind, out: np.ndarray) -> None:
+@kernel(fastmath={"contract"})
+def _multiply_few(
+    first: int, last: int, rows: np.ndarray, columns: np.ndarray, start: int, kind: Kind, out: np.ndarray
+) -> None:
     """`_multiply` of few pairs, to the bit: four sums at a time, each of which waits for its last product."""
     halves = 2 if kind.crossed else 1
-    length, count = left.shape[1] // halves, out.shape[1]
-    last = start + count - 1
-    for i in range(len(out)):
-        for half in range(halves):
-            first, other = half * length, (halves - 1 - half) * length
-            for j in range(start, start + count, 4):
-                k, l, m = min(j + 1, last), min(j + 2, last), min(j + 3, last)
-                s0, s1, s2, s3 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
-                for c in range(length):
-                    a, at = left[i, first + c], other + c
-                    s0 += a * right[j, at]
-                    s1 += a * right[k, at]
-                    s2 += a * right[l, at]
-                    s3 += a * right[m, at]
-                sums = s0, s1, s2, s3
-                for n in range(min(4, start + count - j)):
-                    before = np.float32(0.0) if half == 0 else out[i, j - start + n]
-                    out[i, j - start + n] = before + sums[n]
+    length, end = rows.shape[2] // halves, start + out.shape[2] - 1
+    for r in range(first, last):
+        left, right = rows[r], columns[r]
+        for i in range(len(left)):
+            for half in range(halves):
+                own, other = half * length, (halves - 1 - half) * length
+                for j in range(start, end + 1, 4):
+                    k, l, m = min(j + 1, end), min(j + 2, end), min(j + 3, end)
+                    s0, s1, s2, s3 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+                    for c in range(length):
+                        a, at = left[i, own + c], other + c
+                        s0 += a * right[j, at]
+                        s1 += a * right[k, at]
+                        s2 += a * right[l, at]
+                        s3 += a * right[m, at]
+                    sums = s0, s1, s2, s3
+                    for n in range(min(4, end + 1 - j)):
+                        before = np.float32(0.0) if half == 0 else out[r, i, j - start + n]
+                        out[r, i, j - start + n] = before + sums[n]
