@@ -88,7 +88,7 @@ _MOST = {
 @pytest.mark.parametrize("kind", ["screen", "half wall"])
 @ci_slow  # steps along walks in a plane: tests/transport/test_edge_walks.py
 def test_steps_of_a_few_walks(kind: str) -> None:
-    """Two walks beside what the bounds are narrow for."""
+    """Two walks."""
     steps = _steps(kind, 3, 2)
     assert (steps.max(axis=0) < _MOST[kind]).all(), steps.max(axis=0)
 
@@ -97,7 +97,7 @@ def test_steps_of_a_few_walks(kind: str) -> None:
 @pytest.mark.parametrize("kind", _BODIES)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_steps_of_many_walks(kind: str, seed: int) -> None:
-    """Eight walks beside each body: of 1,000 steps two are more than 1 dB beyond their neighbours."""
+    """Eight walks beside each body: of 1,000 steps fewer than two are more than 1 dB beyond their neighbours."""
     steps = _steps(kind, seed, 8)
     assert (steps.max(axis=0) < _MOST[kind]).all(), steps.max(axis=0)
     assert (np.mean(steps > 1.0, axis=0) < 2e-3).all()

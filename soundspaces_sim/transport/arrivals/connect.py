@@ -68,9 +68,11 @@ from soundspaces_sim.transport.arrivals.ways import (
     set_way,
     solve_way,
     way_field,
+    weight_of,
 )
 from soundspaces_sim.transport.arrivals.wedges import (
     BOUNDARY_OFFSET,
+    ON_FACE,
     WedgeCoordinates,
     boundary_tolerance,
     cosine_taper,
@@ -142,6 +144,17 @@ def _has(waves: Waves, planes: tuple[int, int], back: bool) -> bool:
             continue
         same = waves.planes[i, 0] == planes[0] and waves.planes[i, 1] == planes[1]
         if same and waves.kind[i] != _DIRECT and back == (waves.kind[i] == MIRRORS_AND_BACK):
+            return True
+    return False
+
+
+@part
+def _has_edges(waves: Waves, edges: tuple[int, int]) -> bool:
+    """Whether sound comes by these edges alone, in either order."""
+    e, f = edges
+    for i in range(min(waves.number[0], len(waves.length))):
+        a, b = waves.wedges[i, 0], waves.wedges[i, 1]
+        if waves.planes[i, 0] < 0 and ((a == e and b == f) or (a == f and b == e)):
             return True
     return False
 
@@ -281,7 +294,7 @@ class _Leaves(NamedTuple):
     """Where sound that runs along a face of an edge leaves it by the side, at right angles to the edge."""
 
     detour: float  # m, by that side over the straight path
-    weight: float  # 1 along the face, 0 where the end is `_ALONG_FACE` off it
+    weight: float  # 1 along the face; 0 off it, near boundaries, or where a parallel edge ends the face
 
 
 @part
@@ -300,7 +313,8 @@ def _leaves(edges: Edges, e: int, path: EdgePath, c: WedgeCoordinates) -> _Leave
         weight *= 1.0 - cosine_taper(abs(boundary - math.pi) / _ALONG_FACE)
     across = away * along / (along + rise)
     for m in range(links.start[e], links.start[e + 1]):
-        if (links.phi[m, 0] > 0.5 * sector) == (c.phi > 0.5 * sector):
+        plate = sector > 2.0 * math.pi - ON_FACE
+        if plate or (links.phi[m, 0] > 0.5 * sector) == (c.phi > 0.5 * sector):
             weight *= cosine_taper(across / links.width[m])
     straight = math.sqrt((along + rise) ** 2 + up**2 + away**2)
     by_side = math.hypot(along + math.hypot(rise, up), away)
@@ -489,12 +503,12 @@ def _add_single(
     from_q = leg_to(context.sight, q, at)
     if not from_q.free:
         return
-    of_p, of_q = _leaves(context.edges, e, path, s), _leaves(context.edges, e, path, r)
+    leave_s, leave_r = _leaves(context.edges, e, path, s), _leaves(context.edges, e, path, r)
     for b in range(len(least)):
         mirror = _mirror(context, e, path, cos, b)
         for g in range(field.shape[1]):
             k = spectrum.k[b, g]
-            field[b, g] = field_at(path, front, k, mirror) * _stays(k, of_p) * _stays(k, of_q)
+            field[b, g] = field_at(path, front, k, mirror) * _stays(k, leave_s) * _stays(k, leave_r)
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
@@ -653,8 +667,8 @@ def _add_double(
 def _add_ways(
     context: Context, a: Sight, b: Sight, i: int, j: int, ends: _Ends, scratch: Scratch
 ) -> None:
-    """The shortest way round several edges, from the ways of either point to the edges that the other one sees;
-    with it those by an edge more, near whose shadow an end is."""
+    """The shortest way round several edges that is heard, from the ways of either point to edges that the other
+    sees; with it those by an edge more, near whose shadow an end is."""
     edges, way, p, q = context.edges, scratch.way, ends.p.at, ends.q.at
     of_q, of_p = row_of(b.seen, ends.v), row_of(a.seen, ends.u)
     from_p = choose_ways(edges.wedges, a.ways, i, of_q, b.seen.wedge, b.seen.phi, q, 0, way)
@@ -675,12 +689,12 @@ def _add_ways(
     first, last = way.edge[0], way.edge[count - 1]
     for k in range(of_q[0], of_q[1]):
         e = b.seen.wedge[k]
-        if in_light_of(a.ways, i, e, last, b.seen.phi[k]):
+        if in_light_of(edges.wedges, a.ways, i, e, last, b.seen.phi[k]):
             count = set_way(a.ways, i, e, False, way)
             solved += _add_way(context, ends, count, solved, scratch)[0] > 0
     for k in range(of_p[0], of_p[1]):
         e = a.seen.wedge[k]
-        if in_light_of(b.ways, j, e, first, a.seen.phi[k]):
+        if in_light_of(edges.wedges, b.ways, j, e, first, a.seen.phi[k]):
             count = set_way(b.ways, j, e, True, way)
             solved += _add_way(context, ends, count, solved, scratch)[0] > 0
 
@@ -689,23 +703,24 @@ def _add_ways(
 def _add_way(
     context: Context, ends: _Ends, count: int, solved: int, scratch: Scratch
 ) -> tuple[int, bool]:
-    """Solve the way at hand, and add its wave, if it is not one edge or two of one face, which are there: (how many
-    edges it has, 0 for one that is not free or not new, whether it is heard)."""
+    """Solve the way at hand, and add its wave, if it is not there: (how many edges it has, 0 for one that is not
+    free or not new, whether it is heard and has not faded)."""
     way, wedges, p, q = scratch.way, context.edges.wedges, ends.p.at, ends.q.at
     count, length = solve_way(context.sight, context.edges, count, p, q, way)
     if count == 0 or not is_new(count, solved, way):
         return 0, False
-    if count == 1 or (count == 2 and way.common[0]):
+    e, f = way.edge[0], way.edge[count - 1]
+    met = e, f if count > 1 else -1
+    if count <= 2 and _has_edges(scratch.waves, met):
         return count, True
     if not way_field(
         wedges, count, p, q, length, context.spectrum, scratch.least, way, scratch.double, scratch.field
     ):
         return count, False
-    e, f = way.edge[0], way.edge[count - 1]
     to_e = Leg(True, met_point(wedges, e, way.z[0]), -1)
     to_f = Leg(True, met_point(wedges, f, way.z[count - 1]), -1)
-    _add_by_edges(context, ends, (e, f), (to_e, to_f), length, count > 2, scratch)
-    return count, True
+    _add_by_edges(context, ends, met, (to_e, to_f), length, count > 2, scratch)
+    return count, weight_of(count, way) >= 1.0
 
 
 @part

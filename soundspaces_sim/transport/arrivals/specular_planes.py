@@ -42,7 +42,7 @@ _GROW, _GROWN = 8, 1.01  # times at most, while a plane grows by more than this
 _WELD = 4  # decimals of a metre
 _FLAT_COS = float(np.cos(np.deg2rad(0.3)))  # of triangles side by side: of scans most turn by more
 _ROUNDS = 3  # of smoothing
-_SIMILAR = 0.35  # rad: by how much more neighbours turn, the less they count
+_SIMILAR = 0.35  # rad: a neighbour that turns by more counts less than half
 _BLOCK = 32  # faces that are tried together
 _ROUNDING = 1e-6  # m, more than it is
 _SLAB = 0.5  # of a group's rms stray: two sides that stray less are those of a slab
@@ -57,7 +57,7 @@ class Grain(NamedTuple):
     smooth: bool  # noisy normals are smoothed first: planes are told apart that are small, or near each other
 
 
-#: That mirror sound; at whose edges it bends.
+#: Walls mirror sound; at the edges of faces it bends.
 WALLS, FACES = Grain(0.3, 0.05, 0.5, smooth=False), Grain(0.03, 0.015, 0.3, smooth=True)
 
 
@@ -136,13 +136,15 @@ def _smoothed(vertices: np.ndarray, faces: np.ndarray, cross: np.ndarray) -> np.
     """
     side = side_numbers(welded_faces(vertices, faces, _WELD)[1]).ravel()
     order = np.argsort(side, kind="stable")
-    twice = np.flatnonzero(side[order[1:]] == side[order[:-1]])
+    twice = np.flatnonzero(np.diff(side[order]) == 0)
+    twice = twice[np.bincount(side)[side[order[twice]]] == 2]
     one, other = order[twice] // 3, order[twice + 1] // 3
     size = np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(size, 1e-300)[:, None]
     turned = np.zeros(len(faces), bool)
     cos = np.abs((normal[one] * normal[other]).sum(axis=1))
-    turned[one[(cos > _MAX_TURN_COS) & (cos < _FLAT_COS)]] = True
+    noisy = (cos > _MAX_TURN_COS) & (cos < _FLAT_COS)
+    turned[one[noisy]] = turned[other[noisy]] = True
     if size[turned].sum() < 0.5 * size.sum():
         return cross
     for _ in range(_ROUNDS):

@@ -94,6 +94,9 @@ class WayScratch(NamedTuple):
     unit: np.ndarray  # (_MOST_EDGES,) edges of the factor that begins here: 1, 2; 0: it began one before
     size: np.ndarray  # (_MOST_EDGES,) how much a factor matters
     set: np.ndarray  # (_MOST_EDGES,) whether its factor is there
+    needed: (
+        np.ndarray
+    )  # (2,) in the light of its first edge, and of its last one, without which it is not free
 
 
 def make_way_scratch() -> WayScratch:
@@ -113,6 +116,7 @@ def make_way_scratch() -> WayScratch:
         unit=np.empty(m, np.int64),
         size=np.empty(m),
         set=np.empty(m, np.bool_),
+        needed=np.empty(2, np.bool_),
     )
 
 
@@ -206,10 +210,25 @@ def find_ways(
 
 @part(forceinline=True)
 def _near_shadow(phi: float, towards: float) -> float:
-    """1 of an end in the shadow or near it; down to 0 in the light, `_NEAR_SHADOW` from the boundary. Beyond, 1: an
-    edge that is needed there is fitted, and lies beside what is in the way."""
-    light = (math.pi - abs(phi - towards)) / _NEAR_SHADOW
-    return cosine_taper(2.0 * max(light - 0.5, 0.0)) if light < 1.0 else 1.0
+    """1 of an end in the shadow or near it; down to 0 in the light, `_NEAR_SHADOW` from the boundary."""
+    return cosine_taper(2.0 * max((math.pi - abs(phi - towards)) / _NEAR_SHADOW - 0.5, 0.0))
+
+
+@part
+def weight_of(count: int, scratch: WayScratch) -> float:
+    """Of the way at hand: what is left of it in the light of its first edge and of its last one."""
+    angle, weight = scratch.angle, 1.0
+    if not scratch.needed[0]:
+        weight *= _near_shadow(angle[0, 0], angle[0, 1])
+    if not scratch.needed[1]:
+        weight *= _near_shadow(angle[count - 1, 1], angle[count - 1, 0])
+    return math.sqrt(weight)
+
+
+@part(forceinline=True)
+def _turn_at(wedges: Wedges, ways: Ways, i: int, e: int, phi: float) -> float:
+    """By how much the way of point i turns at an edge towards what is at the angle phi about it."""
+    return abs(phi - _in_sector(ways.phi[i, e], math.pi * wedges.n[e], 0.0))
 
 
 @part
@@ -230,7 +249,7 @@ def choose_ways(
     for n in range(rows[0], rows[1]):
         e = wedge[n]
         way = ways.length[i, e] + distance(edge_point(wedges, e, ways.z[i, e]), q)
-        if not way < math.inf or abs(phi[n] - ways.phi[i, e]) < math.pi - _NEAR_SHADOW:
+        if not way < math.inf or _turn_at(wedges, ways, i, e, phi[n]) < math.pi - _NEAR_SHADOW:
             continue
         k = count
         while k > 0 and total[k - 1] > way:
@@ -244,11 +263,12 @@ def choose_ways(
 
 
 @part
-def in_light_of(ways: Ways, i: int, e: int, f: int, phi: float) -> bool:
+def in_light_of(wedges: Wedges, ways: Ways, i: int, e: int, f: int, phi: float) -> bool:
     """Whether the way of point i by edge f goes on to e, and an end at the angle phi about e is in its light, but
     near its shadow."""
-    turn = abs(phi - ways.phi[i, e])
-    return ways.before[i, e] == f and math.pi - _NEAR_SHADOW < turn < math.pi
+    if ways.before[i, e] != f:
+        return False
+    return math.pi - _NEAR_SHADOW < _turn_at(wedges, ways, i, e, phi) < math.pi
 
 
 @part
@@ -352,9 +372,9 @@ def _measure(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) 
 def solve_way(
     view: View, edges: Edges, count: int, p: Vec3, q: Vec3, scratch: WayScratch
 ) -> tuple[int, float]:
-    """Pull the way at hand taut, or leave it as rays have found it; leave out edges in whose light it passes, or on
-    whose line the place before or after is, and add those of narrow faces along which it goes: (how many edges it
-    has, its length, m); 0 if something is in the way."""
+    """Pull the way at hand taut, or leave it as rays have found it; leave out edges in whose light it passes, or
+    one of two that it meets at once, and add those of narrow faces along which it goes: (how many edges it has, its
+    length, m); 0 if something is in the way."""
     wedges, total = edges.wedges, math.inf
     while count > 0:
         for n in range(count):
@@ -386,12 +406,13 @@ def solve_way(
 
 @part
 def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
-    """An edge in whose light the way passes, and without which it is free; -1 for none. Of the first and the last
-    one the light near the shadow does not count: there the way by them fades."""
+    """An edge in whose light the way passes, and without which it is free; -1 for none. The first and the last one
+    stay near their shadow, where the way by them fades."""
     edge, z = scratch.edge, scratch.z
+    scratch.needed[:] = False
     for n in range(count if count > 1 else 0):
-        light = math.pi - (_ALONG if 0 < n < count - 1 else _NEAR_SHADOW)
-        if abs(scratch.angle[n, 1] - scratch.angle[n, 0]) > light:
+        inner, light = 0 < n < count - 1, math.pi - abs(scratch.angle[n, 1] - scratch.angle[n, 0])
+        if light < (_ALONG if inner else 0.0):
             continue
         before = met_point(wedges, edge[n - 1], z[n - 1]) if n > 0 else p
         after = met_point(wedges, edge[n + 1], z[n + 1]) if n < count - 1 else q
@@ -401,8 +422,10 @@ def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: Wa
             free = _reaches(view, wedges, q, edge[n - 1], before)
         else:
             free = is_free(view.geometry, wedges, (edge[n - 1], edge[n + 1]), (before, after))
-        if free:
+        if free and (inner or light > _NEAR_SHADOW):
             return n
+        if not (inner or free):
+            scratch.needed[0 if n == 0 else 1] = True
     return -1
 
 
@@ -443,16 +466,24 @@ def _in_sector(phi: float, sector: float, near: float) -> float:
     return sector if phi > sector - near else phi
 
 
+@part(forceinline=True)
+def _is_less(wedges: Wedges, e: int, f: int) -> bool:
+    """Whether edge e is shorter than f: an order that does not depend on from where a way is solved."""
+    return wedges.length[e] < wedges.length[f] or (wedges.length[e] == wedges.length[f] and e < f)
+
+
 @part
 def _set_angles(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
-    """Angles of the way about its edges: an edge on whose line it is before or after, -1 for none."""
+    """Angles of the way about its edges: -1; or the lesser of two edges that it meets at once, or one on whose line
+    it begins or ends."""
     edge, angle = scratch.edge, scratch.angle
     for n in range(count):
         e, sector, off = edge[n], math.pi * wedges.n[edge[n]], length(row(wedges.offset, edge[n]))
         before = wedge_coordinates(wedges, e, _place(wedges, scratch, n - 1, count, p, q))
         after = wedge_coordinates(wedges, e, _place(wedges, scratch, n + 1, count, p, q))
         if min(before.r, after.r) < MIN_RADIUS:
-            return n
+            other = n - 1 if before.r < MIN_RADIUS else n + 1
+            return other if 0 <= other < count and _is_less(wedges, edge[other], e) else n
         scratch.sine[n] = min((before.r + after.r) / (scratch.leg[n] + scratch.leg[n + 1]), 1.0)
         near_p = near_q = 0.0
         if n > 0:
@@ -516,6 +547,14 @@ def _beyond(phi: float, towards: float) -> float:
     return towards + math.copysign(max(abs(phi - towards), math.pi + BOUNDARY_OFFSET), phi - towards)
 
 
+@part(forceinline=True)
+def _is_needed(n: int, count: int, scratch: WayScratch) -> bool:
+    """Whether the way is not free without an edge: in its light sound passes it, and is diffracted beside that."""
+    if n == 0:
+        return scratch.needed[0]
+    return n < count - 1 or scratch.needed[1]
+
+
 @part
 def _multiply(
     wedges: Wedges,
@@ -542,8 +581,7 @@ def _multiply(
             double.wave[m] *= half * root * double_wedge_field(ends, spectrum.node[m] * sine, double)
         return
     turn = abs(angle[n, 1] - angle[n, 0])
-    light = math.pi if 0 < n < count - 1 else math.pi - _NEAR_SHADOW
-    passes = 1.0 if turn < light else 0.0
+    passes = 1.0 if turn < math.pi and _is_needed(n, count, scratch) else 0.0
     plus, on = angle[n, 0] + angle[n, 1], math.inf
     other = 2.0 * math.pi * wedges.n[e] - plus
     path = EdgePath(
@@ -614,11 +652,7 @@ def way_field(
         scratch.set[chosen] = True
         if scratch.unit[chosen] == 2:
             scratch.set[chosen + 1] = True
-    angle = scratch.angle
-    weight = _near_shadow(angle[0, 0], angle[0, 1]) * _near_shadow(
-        angle[count - 1, 1], angle[count - 1, 0]
-    )
-    weight = math.sqrt(weight)
+    weight = weight_of(count, scratch)
     (start, end), sides = _narrowest(wedges, count, p, q, total, scratch)
     drawn = start if sides[0] < 0.0 else end if sides[1] < 0.0 else 0.0  # to an end, by so much
     boundary, loud = max(total - distance(p, q), 0.0), False

@@ -90,7 +90,7 @@ class ContinuousOptions:
     slide : go on along what was touched, as Habitat's agents do; False: stop there
     success_distance : m of walking distance to a goal below which STOP is right
     paths : how discrete arrivals are had between points: ``moved`` from the points around, or ``simulated`` at the
-        very place, which is exact and takes five times as long
+        very place, which is exact and takes eight to twelve times as long
     fade : s of a step in which what is heard goes over to the new pose; 12 ms make windows of 8,192 samples
     gps_sigma : standard deviation of both components of the displacement to the goal, m
     noises : sounds of the bank, one of which is around in every episode, at both ears from other places of its clip
