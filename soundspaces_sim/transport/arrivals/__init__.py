@@ -5,7 +5,7 @@ The pressure at q of a source of e^(-jkr) / r at p is a sum of waves, each with 
     p(k) = sum_i P_i(k) e^(-jk l_i)                                                                            (T29)
 
 and every wave meets at most two planes, one edge or two, or a plane and then edges; or it is the shortest way round
-up to six edges. Numbers are those of docs/theory.md, section 5. A scene once:
+up to eight edges. Numbers are those of docs/theory.md, section 5. A scene once:
 
     specular_planes, prepared     triangles grouped by plane equation
     find_wedges, wedges           convex creases and free borders: rigid wedges of open angle n pi

@@ -1,4 +1,4 @@
-"""The shortest ways round edges, up to six: first arrivals of points far out of sight of each other.
+"""The shortest ways round edges, up to eight: first arrivals of points far out of sight of each other.
 
 A point's ways are found once for all its pairs, as navigation meshes and visibility graphs do it: edges that see
 each other are the nodes (`scene_edges`), and the shortest way to each goes on from the shortest way to another one.
@@ -56,7 +56,7 @@ from soundspaces_sim.transport.arrivals.wedges import (
     wedge_coordinates,
 )
 
-_MOST_EDGES = 6  # of a way: by more, sound is some 60 dB below a free field
+_MOST_EDGES = 8  # of a way: by more, sound is some 60 dB below a free field
 _TRIED = 4  # ways to a point, by different last edges, until one is free
 _MOST_WAYS = 8  # of a pair: the shortest one, and those by an edge more in whose light an end is
 _OF_THREAD = 8  # points whose ways are worth a thread
