@@ -75,8 +75,16 @@ def _steps(kind: str, seed: int, walks: int) -> np.ndarray:
     return np.concatenate(found)
 
 
-#: dB: most that a step is beyond its neighbours in the two bands, as reached; docs/validation.md, Known issues
-_MOST = {
+#: dB: most that a step may be beyond its neighbours in the two bands
+_WANTED = {
+    "pillar": (1.5, 0.7),
+    "half wall": (0.5, 0.3),
+    "screen": (1.1, 0.5),
+    "cupboard": (1.3, 1.5),
+    "table": (1.1, 0.6),
+}
+#: The same, as reached: docs/validation.md, Known issues
+_REACHED = {
     "pillar": (1.5, 0.8),
     "half wall": (1.2, 0.4),
     "screen": (1.1, 0.5),
@@ -88,9 +96,9 @@ _MOST = {
 @pytest.mark.parametrize("kind", ["screen", "half wall"])
 @ci_slow  # steps along walks in a plane: tests/transport/test_edge_walks.py
 def test_steps_of_a_few_walks(kind: str) -> None:
-    """Two walks."""
+    """Two walks beside what the bounds are narrow for."""
     steps = _steps(kind, 3, 2)
-    assert (steps.max(axis=0) < _MOST[kind]).all(), steps.max(axis=0)
+    assert (steps.max(axis=0) < _WANTED[kind]).all(), steps.max(axis=0)
 
 
 @pytest.mark.slow
@@ -99,5 +107,8 @@ def test_steps_of_a_few_walks(kind: str) -> None:
 def test_steps_of_many_walks(kind: str, seed: int) -> None:
     """Eight walks beside each body: of 1,000 steps fewer than two are more than 1 dB beyond their neighbours."""
     steps = _steps(kind, seed, 8)
-    assert (steps.max(axis=0) < _MOST[kind]).all(), steps.max(axis=0)
+    most = steps.max(axis=0)
+    assert (most < _REACHED[kind]).all(), most
     assert (np.mean(steps > 1.0, axis=0) < 2e-3).all()
+    if not (most < _WANTED[kind]).all():
+        pytest.xfail(f"known issue, edges that are not parallel: {most} dB, {_WANTED[kind]} wanted")
