@@ -51,7 +51,7 @@ from .scene.build import shoebox
 from .scene.load import load_scene
 from .scene.materials import MaterialTable
 from .scene.scene import Scene
-from .transport.api import simulate
+from .transport.simulate import simulate
 
 __all__ = [
     "Arrival",

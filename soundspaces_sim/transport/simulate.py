@@ -9,6 +9,8 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +27,7 @@ from soundspaces_sim.echogram.directed import directed_table
 from soundspaces_sim.echogram.echogram import Echograms
 from soundspaces_sim.echogram.endpoints import Listener, Points, Source, as_ends
 from soundspaces_sim.scene.enclosure import check_ends
+from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.integrator import Made, Progress, relative_error, run_techniques, traced
 from soundspaces_sim.transport.kept_traces import KeptTraces
@@ -57,7 +60,7 @@ def as_points(points: ArrayLike, what: str) -> np.ndarray:
 
 
 def simulate(
-    scene: Scene,
+    scene: Scene | str | Path | Any,
     sources: Points,
     listeners: Points,
     config: SimulationConfig | None = None,
@@ -65,13 +68,15 @@ def simulate(
 ) -> Echograms:
     """Echograms between all `sources` (S, 3) and `listeners` (L, 3), in m, anywhere in the scene.
 
-    Either may be records, `Source` or `Listener`, alone or in a list: their directivities are applied, and
+    `scene`: a `Scene`, or what `load_scene` takes: a name, a path, a `trimesh.Trimesh`. `sources` and
+    `listeners` may be records, `Source` or `Listener`, alone or in a list: their directivities are applied, and
     a place with several records is simulated once. The result grows with S L, some 22 kB a pair; working memory
-    beside it is bounded. Raises `PointError` for points that are not finite or lie outside an enclosed scene, and
-    for more of them than there is memory for: `build_dataset` writes its results as it goes.
+    beside it is bounded. Raises `SceneError`, and `PointError` for points that are not finite or lie outside an
+    enclosed scene, and for more of them than there is memory for: `build_dataset` writes its results as it goes.
     """
+    ready = load_scene(scene)
     with deferred(), profiled("simulate"):
-        return _simulate(scene, sources, listeners, config, seed)
+        return _simulate(ready, sources, listeners, config, seed)
 
 
 def _simulate(
