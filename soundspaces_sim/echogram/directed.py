@@ -34,6 +34,7 @@ from soundspaces_sim.echogram.low_response import LowResponse, emitted, heard, s
 
 _SAME_S = 1e-9  # two delays of one path, seen from either end
 _WHICH = 5  # columns of `_met` that say what a path met, in whatever order
+_NODES = 32  # of `sphere`: the means over patterns are exact to harmonics of degree 63
 
 
 class Pattern(NamedTuple):
@@ -63,20 +64,9 @@ def band_energy(
     return np.asarray(band_means(np.asarray(frequency, float), np.asarray(energy, float), bands))
 
 
-@lru_cache(maxsize=1)
-def _sphere() -> tuple[np.ndarray, np.ndarray]:
-    """((n, 3), (n,)): directions and shares of the sphere, exact to harmonics of degree 63 (Gauss-Legendre
-    in z, even in azimuth)."""
-    z, weight = np.polynomial.legendre.leggauss(32)
-    phi = (np.arange(64) + 0.5) * (2.0 * np.pi / 64)
-    z, phi = (x.ravel() for x in np.meshgrid(z, phi, indexing="ij"))
-    r = np.sqrt(1.0 - z**2)
-    return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1), np.repeat(weight / 2.0 / 64, 64)
-
-
 @lru_cache(maxsize=64)
 def _pattern(directivity: Directivity, bands: tuple[float, ...], level: Level) -> Pattern:
-    directions, share = _sphere()
+    directions, share = sphere(_NODES)
     energy = band_energy(directivity, directions, bands)
     if not (np.isfinite(energy).all() and (energy >= 0.0).all() and (energy.max(axis=0) > 0.0).all()):
         raise ConfigError(

@@ -25,7 +25,7 @@ WHOLE = (
 LEAD_S = 0.05  # of responses, before the sound is emitted: a band with an end rings before its beginning
 _RATE = 2.3  # of responses, over the edge
 _PAD_S = 0.1  # room for what a displacement moves
-_DIRECTIONS = 16  # of the sphere, in z; twice as many about it
+_NODES = 16  # of directions of the sphere, in z; twice as many about it
 
 
 def response_rate(edge: float) -> float:
@@ -88,16 +88,16 @@ class LowResponse:
         return np.asarray(self.signal.astype(float) @ turn / band_gain(frequency, self.edge))
 
 
-@lru_cache(maxsize=1)
-def sphere() -> tuple[np.ndarray, np.ndarray]:
-    """((n, 3), (n,)): directions in which patterns are given, and their shares of the sphere: Gauss-Legendre in z,
-    even in azimuth."""
-    z, weight = np.polynomial.legendre.leggauss(_DIRECTIONS)
-    phi = (np.arange(2 * _DIRECTIONS) + 0.5) * (np.pi / _DIRECTIONS)
+@lru_cache(maxsize=2)
+def sphere(nodes: int = _NODES) -> tuple[np.ndarray, np.ndarray]:
+    """((n, 3), (n,)): directions in which patterns are given, and their shares of the sphere: Gauss-Legendre with
+    `nodes` in z, even in azimuth."""
+    z, weight = np.polynomial.legendre.leggauss(nodes)
+    phi = (np.arange(2 * nodes) + 0.5) * (np.pi / nodes)
     z, phi = (x.ravel() for x in np.meshgrid(z, phi, indexing="ij"))
     r = np.sqrt(1.0 - z**2)
     directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1)
-    return directions, np.repeat(weight / (4.0 * _DIRECTIONS), 2 * _DIRECTIONS)
+    return directions, np.repeat(weight / (4.0 * nodes), 2 * nodes)
 
 
 def seen(

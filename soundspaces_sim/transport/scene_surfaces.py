@@ -43,39 +43,24 @@ def scene_surfaces(
 ) -> tuple[Surfaces, np.ndarray]:
     """How the surfaces of a scene answer under this config, and the (F, 2) rows of each face, in front of
     and behind its stored normal. `by_size`: of `scattered_by_size`; `groups`: whose reflections are counted."""
-    table, kinds = scene.materials, _kinds(scene, config, by_size)
+    table = scene.materials
+    absorption, scattering, transmission = table.in_bands(config.bands)
+    # The kinds of surface: materials, and where they differ from those by size.
+    first, of_face = unique_rows(np.column_stack([scene.face_material, by_size]))
+    material, share = scene.face_material[first], by_size[first]
+    if not by_size.shape[1]:
+        share = np.zeros((len(material), scattering.shape[1]))
     law, free = law_rows(table.reflection, config.law), table.free_hanging
     group = None if groups is None else group_of_material(scene, groups)
     return make_surfaces(
-        kinds.absorption,
-        kinds.scattering,
-        kinds.transmission,
-        law[kinds.material],
-        free[kinds.material],
-        None if group is None else group[kinds.material],
+        absorption[material],
+        1.0 - (1.0 - scattering[material]) * (1.0 - share),
+        transmission[material],
+        law[material],
+        free[material],
+        None if group is None else group[material],
         None if groups is None else groups.anchor,
-    ), np.column_stack([kinds.of_face, kinds.of_face])
-
-
-class _Kinds(NamedTuple):
-    """The m kinds of surface of a scene."""
-
-    material: np.ndarray  # (m,) row of the table
-    absorption: np.ndarray  # (m, b)
-    scattering: np.ndarray  # (m, b), with what its size scatters
-    transmission: np.ndarray  # (m, b)
-    of_face: np.ndarray  # (F,)
-
-
-def _kinds(scene: Scene, config: SimulationConfig, by_size: np.ndarray) -> _Kinds:
-    absorption, scattering, transmission = scene.materials.in_bands(config.bands)
-    # Materials, and where they differ from those by size.
-    first, of_face = unique_rows(np.column_stack([scene.face_material, by_size]))
-    rows, share = scene.face_material[first], by_size[first]
-    if not by_size.shape[1]:
-        share = np.zeros((len(rows), scattering.shape[1]))
-    both = 1.0 - (1.0 - scattering[rows]) * (1.0 - share)
-    return _Kinds(rows, absorption[rows], both, transmission[rows], of_face)
+    ), np.column_stack([of_face, of_face])
 
 
 @stage("windings")
