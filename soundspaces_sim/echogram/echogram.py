@@ -8,7 +8,7 @@ the energy.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from operator import index
 
@@ -21,60 +21,9 @@ from soundspaces_sim.echogram.endpoints import Listener, Source
 from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.echogram.reflection_counts import ReflectionCounts
 
+# Of the plot that a notebook shows.
 _RANGE_DB = 60.0
-
-
-def arrival_text(
-    delay: float, energy: np.ndarray, direction: np.ndarray, planes: Sequence[int], edges: Sequence[int]
-) -> str:
-    """Delay (s), direction (3,), energy (bands,), and the planes and edges that it met."""
-    met = f", planes {tuple(planes)}" if planes else ""
-    met += f", edges {tuple(edges)}" if edges else ""
-    axes = ", ".join(f"{x:.2f}" for x in direction)
-    values = ", ".join(f"{e:.2e}" for e in np.atleast_1d(energy))
-    return f"Arrival({1e3 * delay:.1f} ms from ({axes}), energy [{values}] J/m²{met})"
-
-
-def echogram_text(
-    bands: Sequence[float],
-    time_edges: np.ndarray,
-    direct_delay: float | None,
-    early: int,
-    visible: bool,
-    relative_error: np.ndarray,
-) -> str:
-    """Duration, bands (edges in Hz), arrivals and standard errors (2, bands)."""
-    direct = (
-        "no direct sound" if direct_delay is None else f"direct sound at {1e3 * direct_delay:.1f} ms"
-    )
-    edges = ", ".join(f"{b:g}" for b in bands)
-    of_early, of_late = (100.0 * float(np.max(x)) for x in relative_error)
-    return (
-        f"Echogram: {time_edges[-1]:g} s in {len(time_edges) - 1} bins, bands at {edges} Hz\n"
-        f"  {direct}, {early} early reflections, in sight: {'yes' if visible else 'no'}; "
-        f"standard error up to {of_early:.1f} % early, {of_late:.1f} % late"
-    )
-
-
-def echograms_text(
-    shape: tuple[int, int], bands: Sequence[float], time_edges: np.ndarray, nbytes: int
-) -> str:
-    """Numbers of sources and listeners (`shape`), duration and size."""
-    return (
-        f"Echograms: {shape[0]} sources × {shape[1]} listeners, {time_edges[-1]:g} s in "
-        f"{len(time_edges) - 1} bins, {len(bands) - 1} bands, {nbytes / 1e6:.1f} MB"
-    )
-
-
-def decay_html(text: str, energy: np.ndarray, bin_s: float) -> str:
-    """HTML: `text` above the levels of energies (bands, n) in bins of `bin_s` s, over 60 dB."""
-    with np.errstate(divide="ignore"):
-        level = 10.0 * np.log10(energy / max(float(energy.max()), 1e-300))
-    level[level < -_RANGE_DB] = np.nan
-    time = (np.arange(energy.shape[1]) + 0.5) * bin_s
-    curves = [Curve(np.stack([time, row], axis=1), CYCLE[b % len(CYCLE)]) for b, row in enumerate(level)]
-    return html(text, svg(curves, 360, 160, same_scale=False))
-
+_PLOT_BIN_S = 0.01
 
 #: What a discrete arrival met on its way, in order from the source.
 KINDS = (
@@ -98,7 +47,6 @@ EDGE_KINDS = (((EDGE, EDGE_MIRROR), (MIRROR_EDGE, 7)), ((TWO_EDGES, 6), (5, 8)))
 REVERSE_KIND = np.array(
     [MIRRORS, EDGE, EDGE_MIRROR, MIRROR_EDGE, TWO_EDGES, 6, 5, 7, 8, MIRRORS_AND_BACK, EDGES]
 )
-_PLOT_BIN_S = 0.01  # of the plot that a notebook shows
 
 
 def reverse_order(met: np.ndarray) -> np.ndarray:
@@ -124,7 +72,11 @@ class Arrival:
     edges: tuple[int, ...] = ()
 
     def __repr__(self) -> str:
-        return arrival_text(self.delay, self.energy, self.direction, self.planes, self.edges)
+        met = f", planes {self.planes}" if self.planes else ""
+        met += f", edges {self.edges}" if self.edges else ""
+        axes = ", ".join(f"{x:.2f}" for x in self.direction)
+        values = ", ".join(f"{e:.2e}" for e in np.atleast_1d(self.energy))
+        return f"Arrival({1e3 * self.delay:.1f} ms from ({axes}), energy [{values}] J/m²{met})"
 
 
 def direct_arrival(
@@ -208,13 +160,29 @@ class Echogram:
     low: LowResponse | None = None
 
     def __repr__(self) -> str:
-        delay = None if self.direct is None else self.direct.delay
-        return echogram_text(
-            self.bands, self.time_edges, delay, len(self.early), self.visible, self.relative_error
+        direct = (
+            "no direct sound"
+            if self.direct is None
+            else f"direct sound at {1e3 * self.direct.delay:.1f} ms"
+        )
+        edges = ", ".join(f"{b:g}" for b in self.bands)
+        of_early, of_late = (100.0 * float(np.max(x)) for x in self.relative_error)
+        return (
+            f"Echogram: {self.time_edges[-1]:g} s in {len(self.time_edges) - 1} bins, bands at {edges} Hz\n"
+            f"  {direct}, {len(self.early)} early reflections, in sight: {'yes' if self.visible else 'no'}; "
+            f"standard error up to {of_early:.1f} % early, {of_late:.1f} % late"
         )
 
     def _repr_html_(self) -> str:
-        return decay_html(repr(self), self.histogram(_PLOT_BIN_S), _PLOT_BIN_S)
+        energy = self.histogram(_PLOT_BIN_S)
+        with np.errstate(divide="ignore"):
+            level = 10.0 * np.log10(energy / max(float(energy.max()), 1e-300))
+        level[level < -_RANGE_DB] = np.nan
+        time = (np.arange(energy.shape[1]) + 0.5) * _PLOT_BIN_S
+        curves = [
+            Curve(np.stack([time, row], axis=1), CYCLE[b % len(CYCLE)]) for b, row in enumerate(level)
+        ]
+        return html(repr(self), svg(curves, 360, 160, same_scale=False))
 
     @property
     def arrivals(self) -> list[Arrival]:
@@ -281,7 +249,11 @@ class Echograms:
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        return echograms_text(self.shape, self.bands, self.time_edges, self.energy.nbytes)
+        sources, listeners = self.shape
+        return (
+            f"Echograms: {sources} sources × {listeners} listeners, {self.time_edges[-1]:g} s in "
+            f"{len(self.time_edges) - 1} bins, {len(self.bands) - 1} bands, {self.energy.nbytes / 1e6:.1f} MB"
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
