@@ -175,9 +175,6 @@ class Scene:
         """What is given; rays and their geometry are of one process, and made anew in another."""
         return {k: v for k, v in vars(self).items() if k not in ("rays", "geometry")}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-
     def _repr_html_(self) -> str:
         low, high = self.bounds[:, 2]
         return html(
