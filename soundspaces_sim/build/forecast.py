@@ -129,16 +129,14 @@ def _shared_wall_time(
     tiles: Iterable[float], workers: int, threads: int, overhead_s: float, cores: int, alone: float
 ) -> float:
     waiting, clock = sorted(tiles), 0.0
-    under_way: list[
-        list[tuple[bool, float]]
-    ] = []  # of a tile: stretches on one core or not, core-seconds; last first
+    # Of a tile: stretches on one core or not, core-seconds; last first.
+    under_way: list[list[tuple[bool, float]]] = []
     while waiting or under_way:
         while waiting and len(under_way) < workers:
             of_stretch = waiting.pop() / _STRETCHES
             many, one = (False, (1.0 - alone) * of_stretch), (True, alone * of_stretch)
-            part = (
-                _GOLDEN * len(waiting)
-            ) % 1.0  # that comes first of a stretch: tiles do not keep step
+            # The part that comes first of a stretch: tiles do not keep step.
+            part = (_GOLDEN * len(waiting)) % 1.0
             order = [(False, part * many[1]), one, *[many, one] * (_STRETCHES - 1)]
             order += [(False, (1.0 - part) * many[1]), (True, overhead_s)]
             under_way.append(order[::-1])

@@ -422,9 +422,8 @@ def report_text(r: SceneReport) -> str:
         f"{r.name}",
         f"  {r.triangles:,} triangles in {r.components:,} pieces; {r.size[0]:.1f} × {r.size[1]:.1f} × "
         f"{r.size[2]:.1f} m; surface {r.area:.0f} m², enclosed volume about {r.volume:.0f} m³",
-        *(
-            f"  note: {note}" for note in r.notes if WITHOUT not in note and not note.startswith(DOUBT)
-        ),  # the table of materials has these
+        # The table of materials has these.
+        *(f"  note: {note}" for note in r.notes if WITHOUT not in note and not note.startswith(DOUBT)),
         "",
         "Where points stand",
         f"  {len(r.storeys.floors)} storey(s); of {r.candidates} points, {r.spacing:g} m apart, {r.points} survive",

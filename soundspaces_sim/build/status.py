@@ -53,9 +53,8 @@ def read_status(folder: Path) -> FolderStatus:
     manifest = read_manifest(folder)
     there = _files(folder)
     done = [e for e in manifest.shards if e.file in there]
-    blocks = sorted(
-        {e.listeners[0] for e in manifest.shards}
-    )  # where they begin: every block listens somewhere
+    # Where they begin: every block listens somewhere.
+    blocks = sorted({e.listeners[0] for e in manifest.shards})
     tiles = {_tile(blocks, e) for e in manifest.shards}
     lacking = {_tile(blocks, e) for e in manifest.shards if e.file not in there}
     form = manifest.shards[0].form if manifest.shards else "echogram"

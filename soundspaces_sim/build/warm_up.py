@@ -90,9 +90,8 @@ TENTHS: dict[Share, tuple[int, ...]] = {
     _LAST: (0, 35, 82, 114, 161, 195, 221, 248, 263, 263, 264),
 }
 _STEPS = 1000
-Tell = Callable[
-    [int, int], None
-]  # done, of how many: shares of the time that was left when one began to wait
+# Done, of how many: shares of the time that was left when one began to wait.
+Tell = Callable[[int, int], None]
 
 
 def shares_for(cores: int, soon: bool = False) -> tuple[Share, ...]:
@@ -110,9 +109,8 @@ def _rounds(share: Share) -> list[Share]:
 
 def share_of_time(compiled: int, tenths: Sequence[int]) -> float:
     """Share of its time after which a child has compiled so many functions, below 1."""
-    steps, first = np.unique(
-        tenths, return_index=True
-    )  # a kernel that takes long is none until it is done
+    # A kernel that takes long is none until it is done.
+    steps, first = np.unique(tenths, return_index=True)
     return min(float(np.interp(compiled, steps, first / (len(tenths) - 1))), 0.99)
 
 

@@ -40,11 +40,8 @@ _WIDTH = 110  # of tables that go to a file
 # Engine, workers, threads of each, and seconds that it adds to a tile (docs/clusters.md says how measured).
 _CREWS = (("dask", 8, 1), ("dask", 32, 1), ("slurm", 64, 4), ("slurm", 256, 4))
 _OVERHEAD_S = {"local": 0.0, "dask": 0.01, "slurm": 0.0}
-_START_S = {
-    "local": 0.0,
-    "dask": 5.0,
-    "slurm": 15.0,
-}  # until a worker begins, without the wait in a queue
+# Until a worker begins, without the wait in a queue.
+_START_S = {"local": 0.0, "dask": 5.0, "slurm": 15.0}
 
 
 def _print(table: Table) -> None:

@@ -22,11 +22,8 @@ DEFAULT_TIME_GRID = (
 )  # fmt: skip
 
 
-_SWITCHES = (
-    "radiance_transfer",
-    "diffraction",
-    "materials",
-)  # tables that may be given as true or false
+# Tables that may be given as true or false.
+_SWITCHES = ("radiance_transfer", "diffraction", "materials")
 
 
 def with_switches(simulation: Mapping[str, Any]) -> dict[str, Any]:
@@ -76,9 +73,8 @@ _BETWEEN = {
 _WIDEST_FIRST, _WIDEST = 0.1, LONGEST  # s, of bins
 #: Of datasets, whose subpaths are a fixed number; of single simulations, which add subpaths until an error is met.
 DEFAULT_WALKS, DEFAULT_ERROR = 3000, 0.05
-_MOST_BY_DEFAULT = (
-    4096  # subpaths of a point, where nobody has asked for an error: some more than of datasets
-)
+# Subpaths of a point, where nobody has asked for an error: some more than of datasets.
+_MOST_BY_DEFAULT = 4096
 _MOST_STEPS = 10_000_000  # of the first width, in an echogram
 
 

@@ -47,9 +47,8 @@ from soundspaces_sim.echogram.wavelets import (
 
 _BLUR = 0.5  # part of the difference's energy that is noise where detectors are wider than the scale: each is
 # another mean over places, and a single arrival comes at other times
-_LACKING = (
-    2.0  # times the variance that D tells of: by chance one in forty estimates from batches is more
-)
+# Times the variance that D tells of: by chance one in forty estimates from batches is more.
+_LACKING = 2.0
 
 
 class Noise(NamedTuple):

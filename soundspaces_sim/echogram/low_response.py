@@ -19,9 +19,8 @@ import numpy as np
 
 CHANNELS = 4  # pressure; velocity along x, y and z
 HIGH_PASS = 8.0  # Hz, of a Butterworth filter of second order: a source of steady flow would press air into a room
-WHOLE = (
-    1.03  # of the edge, up to which responses are whole; from there they fall to the Nyquist frequency
-)
+# Of the edge, up to which responses are whole; from there they fall to the Nyquist frequency.
+WHOLE = 1.03
 LEAD_S = 0.05  # of responses, before the sound is emitted: a band with an end rings before its beginning
 _RATE = 2.3  # of responses, over the edge
 _PAD_S = 0.1  # room for what a displacement moves

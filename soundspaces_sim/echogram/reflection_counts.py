@@ -34,9 +34,8 @@ class MaterialGroups:
     absorption: np.ndarray  # (M, b)
     transmission: np.ndarray  # (M, b)
     anchor: np.ndarray  # (M, b) z of `anchored`: `anchors`, in shards of version 7 others
-    windows: WindowLayout = (
-        COUNTS  # in which reflections are counted; without counts, those of error bars
-    )
+    # In which reflections are counted; without counts, those of error bars.
+    windows: WindowLayout = COUNTS
 
 
 @dataclass(frozen=True)

@@ -402,9 +402,8 @@ def _node_at(
     plane = np.hypot(offset[:, 0], offset[:, 1])
     plane[np.abs(offset[:, 2]) > _STOREY] = np.inf
     if not np.isfinite(plane).any():
-        plane = (
-            np.linalg.norm(offset, axis=1) + _ALIKE
-        )  # another storey: off the graph whatever the plane says
+        # Another storey: off the graph whatever the plane says.
+        plane = np.linalg.norm(offset, axis=1) + _ALIKE
     best = int(plane.argmin())
     if plane[best] > _ALIKE:
         node = int(graph.nodes[best])

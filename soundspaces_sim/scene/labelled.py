@@ -25,9 +25,8 @@ class LabelledMesh:
     notes: tuple[str, ...] = ()
     up: str | None = "z"
     metre: float | None = 1.0
-    materials: Mapping[str, MaterialTable] = field(
-        default_factory=dict
-    )  # that the file itself gives its labels
+    # That the file itself gives its labels.
+    materials: Mapping[str, MaterialTable] = field(default_factory=dict)
 
 
 def label_rows(

@@ -19,12 +19,10 @@ from soundspaces_sim.core.numerics.rows import in_order
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import middles, welded_faces
 
-LARGEST_RADIUS = (
-    0.5  # m, 3 V / A of what no room has; a wall of thickness t has 1.5 t, a small bathroom 0.6 m
-)
-_OPENING = (
-    0.25  # share of a body's surface that may be missing: of what is flat the sum of area vectors is 1
-)
+# m, 3 V / A of what no room has; a wall of thickness t has 1.5 t, a small bathroom 0.6 m.
+LARGEST_RADIUS = 0.5
+# Share of a body's surface that may be missing: of what is flat the sum of area vectors is 1.
+_OPENING = 0.25
 _ROUNDING = 1e-9
 _WELD = 5  # decimals of a metre to which corners of one place agree
 

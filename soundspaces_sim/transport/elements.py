@@ -25,10 +25,8 @@ from soundspaces_sim.transport.bsdf.surface import (
     transmittance,
 )
 
-WHOLE, APART = (
-    DEEPEST,
-    1.2,
-)  # m, depth up to which two faces are one element, and from which on they are two
+# m, depth up to which two faces are one element, and from which on they are two.
+WHOLE, APART = DEEPEST, 1.2
 _LONGEST = 10.0  # m, of the way through one
 _FACES = 16  # on that way
 _LEAST = 1e-9  # of the unobstructed energy

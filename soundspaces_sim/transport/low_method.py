@@ -19,9 +19,8 @@ from soundspaces_sim.echogram.low_response import LowResponse
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.model import Model
 
-GROUP = (
-    "soundspaces_sim.low_methods"  # of entry points; each is a `LowMethod`, by the name in the settings
-)
+# Of entry points; each is a `LowMethod`, by the name in the settings.
+GROUP = "soundspaces_sim.low_methods"
 
 
 class LowRuns(Protocol):

@@ -45,9 +45,8 @@ _log = logging.getLogger(__name__)
 _CONNECTION_DEPTH = 64  # paths with more events are not connected
 CUT = "cut: "  # begins the note on responses that are
 _SHORT_SUBPATHS = 4  # for each that the config asks for, where they end with the connection window
-_VERTEX_SHARE = (
-    8.0  # typical number of vertices of a connected subpath, for the MIS count of pairs drawn
-)
+# Typical number of vertices of a connected subpath, for the MIS count of pairs drawn.
+_VERTEX_SHARE = 8.0
 
 
 @stage("preparation")

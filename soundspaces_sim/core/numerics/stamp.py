@@ -43,9 +43,8 @@ def _fields(argument: Any) -> Iterator[Any]:
 
 def _describe(value: Any, within: tuple[int, ...]) -> Any:
     """What compiled code takes from a value that it refers to; `within`: functions that are being described."""
-    function = getattr(value, "py_func", None) or getattr(
-        value, "_defn", None
-    )  # of a dispatcher, an intrinsic
+    # That of a dispatcher, of an intrinsic.
+    function = getattr(value, "py_func", None) or getattr(value, "_defn", None)
     if function is not None:
         chosen = getattr(value, "targetoptions", {}).items()  # sets have another order in each process
         options = sorted((name, repr(sorted(v) if isinstance(v, set) else v)) for name, v in chosen)

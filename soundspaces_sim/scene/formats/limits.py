@@ -17,9 +17,8 @@ from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.io.untrusted import open_regular, size_of
 
 MOST_BYTES = 4 * 2**30
-MOST_CORNERS = (
-    30_000_000  # of faces, when all parts stand where they belong; more in files of more bytes
-)
+# Of faces, when all parts stand where they belong; more in files of more bytes.
+MOST_CORNERS = 30_000_000
 DEEPEST = 256  # of nodes in nodes
 _MOST_UNPACKED, _SMALL = 200, 2**20  # times the size of an archive; bytes that are not counted
 _MOST_ELEMENTS = 2**19  # of XML in an archive, each of which takes many times its bytes

@@ -11,12 +11,8 @@ from soundspaces_sim.scene.triangles import boxes
 
 LEAF = 4  # triangles
 _BITS = 16  # of a coordinate in Morton codes
-_SPREAD = (
-    (16, 0xFF0000FF),
-    (8, 0xF00F00F00F),
-    (4, 0xC30C30C30C3),
-    (2, 0x249249249249),
-)  # its bits to every third place
+# Its bits to every third place.
+_SPREAD = (16, 0xFF0000FF), (8, 0xF00F00F00F), (4, 0xC30C30C30C3), (2, 0x249249249249)
 
 
 class BoxTree(NamedTuple):

@@ -19,9 +19,8 @@ from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, ma
 from soundspaces_sim.scene.rays.geometry import Covers, Geometry
 from soundspaces_sim.scene.triangles import areas, boxes, cross_products, pieces_of, side_numbers, welded
 
-_NEAR = (
-    0.5  # of the offset of rays: nearer triangles lie in one place, and more of them than that has to
-)
+# Of the offset of rays: nearer triangles lie in one place, and more of them than that has to.
+_NEAR = 0.5
 CLOSE = 1e-3  # m, as far as drawings put a carpet above a slab that they mean to be one place
 _PARALLEL = 0.99  # least cosine between normals; heights decide
 _MOST_CORNERS = 12  # of a triangle that three planes have cut, with rounding

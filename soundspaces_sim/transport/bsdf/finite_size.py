@@ -65,10 +65,8 @@ _CELL = 0.8  # m: smaller triangles are taken together, cell by cell
 _LEAST, _MOST, _PER_AREA = 32, 256, 8.0  # hits on either side of a piece; 1/m²
 _FEW = 0.25  # of these: a side with fewer of them between surfaces is left out
 _LIFT = 0.02  # m: a lower step is none
-_FIRST, _GROWTH = (
-    0.04,
-    1.5,
-)  # m: steps along a surface grow with the distance, as the weight of its end falls
+# m: steps along a surface grow with the distance, as the weight of its end falls.
+_FIRST, _GROWTH = 0.04, 1.5
 _FINE = 0.01  # m to which an end is found
 _FARTHEST = 10.0  # m
 _STEPS = 96  # at most, on uneven ground
@@ -78,13 +76,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _ENDLESS, _WIDE = 1e6, 20.0  # in units of v: as good as no end; where less than 0.0004 goes farther
 _AT_A_TIME = 16384  # hits, whose numbers stay in a cache
 _LEVELS = 64  # to which shares are rounded, so that few kinds of surface need to be told apart
-_SHIFTS = (
-    0.8567,
-    0.7339,
-    0.6287,
-    0.5386,
-    0.4614,
-)  # additive recurrence in five dimensions (Roberts 2018)
+# Additive recurrence in five dimensions (Roberts 2018).
+_SHIFTS = (0.8567, 0.7339, 0.6287, 0.5386, 0.4614)
 
 
 def size_scattering(scene: Scene, edges: Sequence[float], c: float) -> np.ndarray:

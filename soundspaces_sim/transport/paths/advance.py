@@ -43,9 +43,8 @@ class Policy(NamedTuple):
     subpaths, the number of the one that moves, and what its ray hits."""
 
     at_segment: Any  # -> None: before the subpath moves, also where its ray hits nothing
-    at_surface: (
-        Any  # -> bool: length and events include this surface; starts the next ray, or says that it ends
-    )
+    # -> bool: length and events include this surface; starts the next ray, or says that it ends
+    at_surface: Any
 
 
 @part(forceinline=True)

@@ -320,9 +320,8 @@ def trace(own: Side, other: Side) -> TraceRows:
     transfer = world.settings.radiance_transfer
     unknown = np.zeros(world.air.shape[1])
     scene = _Scene(world, own.model.once(late_decay).rate if transfer else unknown)
-    room = room_for(
-        0, world.settings.specular * _EVENTS if transfer else 0, world
-    )  # for all rows in turn
+    # For all rows in turn.
+    room = room_for(0, world.settings.specular * _EVENTS if transfer else 0, world)
 
     def trace_into(emitters: Emitters, block: ReflectionBlock, into: Tables) -> None:
         tallies: list[np.ndarray] = []

@@ -86,9 +86,8 @@ def transform(convolution: Convolution, histograms: np.ndarray, spectra: np.ndar
 class Kind(NamedTuple):
     """Which products `accumulate` makes."""
 
-    crossed: bool = (
-        False  # the first half of the columns of either side with the second half of the other
-    )
+    # The first half of the columns of either side with the second half of the other.
+    crossed: bool = False
     symmetric: bool = False  # of points with themselves: pairs i, j < i may be left out
 
 

@@ -27,9 +27,8 @@ _HEIGHT = 0.05  # m
 _SLOPE = 0.5  # a wall that leans over a piece by less than 27° at its outline leaves it free
 _INSET = 0.05  # of the offset of rays
 _LEAST = 0.05  # of the offset of rays: the height from which on something is above a piece and not in its plane
-_MOST_CORNERS = (
-    20  # of a triangle that five planes have cut: each adds half of them at most, with rounding
-)
+# Of a triangle that five planes have cut: each adds half of them at most, with rounding.
+_MOST_CORNERS = 20
 
 
 class _Prism(NamedTuple):

@@ -91,9 +91,8 @@ def make_coarse(fine: TimeSteps, edges: np.ndarray, c: float) -> CoarseSteps:
     ratio, rows = coarse_steps(step, steps, c)
     middles = 0.5 * (edges[1:] + edges[:-1])
     of_bin = np.clip(((middles - offset) / (ratio * step)).astype(np.int64), 0, rows - 1)
-    shift = (
-        fine.outgoing_shift / ratio
-    )  # outgoing rows are sums of fine ones, which were shifted by less
+    # Outgoing rows are sums of fine ones, which were shifted by less.
+    shift = fine.outgoing_shift / ratio
     base = np.array([0, rows])
     wide = TimeSteps(
         np.array([ratio * step]), np.array([offset]), np.array([rows]), base, shift, 0.5 - shift
