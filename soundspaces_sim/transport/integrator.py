@@ -67,20 +67,8 @@ def simulate_tile(
     techniques: Sequence[Technique] = TECHNIQUES,
 ) -> tuple[Echograms, Echograms | None]:
     """Echograms a -> b and, with `both_ways`, b -> a from the same subpaths. `b` None: all pairs of a."""
-    return smoothed(model, trace_tile(model, a, b, both_ways, progress, techniques))
-
-
-def trace_tile(
-    model: Model,
-    a: np.ndarray,
-    b: np.ndarray | None,
-    both_ways: bool = True,
-    progress: Progress | None = None,
-    techniques: Sequence[Technique] = TECHNIQUES,
-    kept: KeptTraces | None = None,
-) -> Traced:
-    """What `simulate_tile` smooths. `kept`: of this model, what is traced for several tiles."""
-    return traced(run_techniques(model, a, b, both_ways, progress, techniques, kept), both_ways)
+    made = run_techniques(model, a, b, both_ways, progress, techniques)
+    return smoothed(model, traced(made, both_ways))
 
 
 @stage("echograms and error bars")
@@ -126,7 +114,8 @@ def run_techniques(
     techniques: Sequence[Technique] = TECHNIQUES,
     kept: KeptTraces | None = None,
 ) -> Made:
-    """What techniques make of a tile, in three stages, of which two go on side by side; as for `trace_tile`."""
+    """What techniques make of a tile, in three stages, of which two go on side by side; as for `simulate_tile`.
+    `kept`: of this model, what is traced for several tiles."""
     check_requirements(techniques)
     make = partial(make_side, model) if kept is None else kept.side
     with stage("detectors and tables"):

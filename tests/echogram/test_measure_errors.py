@@ -12,7 +12,7 @@ from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.measure_errors import measure_errors, measure_values
 from soundspaces_sim.echogram.measure_names import MEASURES
 from soundspaces_sim.echogram.measures import echograms_measures
-from soundspaces_sim.transport.integrator import simulate_tile, trace_tile
+from soundspaces_sim.transport.integrator import run_techniques, simulate_tile, traced
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.simulate import simulate_pairs
 from tests.marks import ci_slow
@@ -112,7 +112,7 @@ def test_errors_are_not_below_what_smoothing_moves() -> None:
     scene = two_rooms(table([0.2, 0.3], [0.1, 0.3]), 1)
     a, b = np.array([[1.2, 1.0, 1.2], [3.0, 3.2, 1.5]]), np.array([[6.5, 2.8, 1.4], [5.0, 0.5, 1.5]])
     model = make_model(scene, np.concatenate([a, b]), ss.SimulationConfig(walks=160, duration=0.4), 0)
-    before = measure_values(trace_tile(model, a, b).forward)
+    before = measure_values(traced(run_techniques(model, a, b), True).forward)
     smooth, back = simulate_tile(model, a, b)
     assert smooth.measure_error is not None and back is not None and back.measure_error is not None
     moved = np.abs(measure_values(smooth) - before)
@@ -127,7 +127,8 @@ def test_errors_of_the_way_back_are_those_of_the_way_there() -> None:
     scene = two_rooms(table([0.2, 0.3], [0.1, 0.3]), 1)
     a, b = np.array([[1.2, 1.0, 1.2], [3.0, 3.2, 1.5]]), np.array([[6.5, 2.8, 1.4]])
     model = make_model(scene, np.concatenate([a, b]), ss.SimulationConfig(walks=160, duration=0.4), 0)
-    back, first = trace_tile(model, a, b).backward, trace_tile(model, b, a).forward
+    there, other = (traced(run_techniques(model, *ends), True) for ends in ((a, b), (b, a)))
+    back, first = there.backward, other.forward
     assert back is not None and back.measure_error is not None and first.measure_error is not None
     np.testing.assert_array_equal(back.measure_error, first.measure_error)
     np.testing.assert_array_equal(back.relative_error, first.relative_error)

@@ -9,7 +9,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.echogram.closure import change
 from soundspaces_sim.echogram.refurnish import log_ratios
 from soundspaces_sim.transport import integrator
-from soundspaces_sim.transport.integrator import trace_tile
+from soundspaces_sim.transport.integrator import run_techniques, traced
 from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.reflection_counts.of_tile import CountMoments, counts_of, moments_of
@@ -37,9 +37,9 @@ def _changed(model: Model, row: int, factor: float) -> Model:
 
 def _traced(model: Model, a: np.ndarray, b: np.ndarray) -> ss.Echograms:
     """Before late bins are smoothed."""
-    traced = trace_tile(model, a, b, both_ways=False)
-    assert traced.moments is not None
-    return replace(traced.forward, counts=counts_of(model, traced.moments))
+    found = traced(run_techniques(model, a, b, both_ways=False), both_ways=False)
+    assert found.moments is not None
+    return replace(found.forward, counts=counts_of(model, found.moments))
 
 
 def _windows(model: Model, echoes: ss.Echograms) -> np.ndarray:

@@ -23,14 +23,15 @@ class PairEnergies(NamedTuple):
 
 
 class Crossed(NamedTuple):
-    """Of one band and direction, of P outgoing and Q incident points, of counts by M groups of materials."""
+    """Of one direction, of P outgoing and Q incident points, of counts by M groups of materials."""
 
     taken: np.ndarray  # (M, P, Q, T) what anchors take of V, with the same of F
     counts: np.ndarray  # (M, M, P, Q, T) ⟨V^m, F^k⟩, k on the first axis
 
 
 class BatchProducts(NamedTuple):
-    """Of one band, of both directions between the A and B points of a tile (`batch_products`)."""
+    """Of both directions between the A and B points of a tile (`batch_products`), of one band. Of b bands all
+    tables have these on an axis before the others."""
 
     raised: np.ndarray  # (BATCHES, A, B, T) with the weight of a batch raised at both ends
     within: np.ndarray  # (2, A, B, T) variance that groups of patches hide, of V and of F

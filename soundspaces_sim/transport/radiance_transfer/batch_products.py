@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import at_once, thread_count
+from soundspaces_sim.transport.radiance_transfer.batch_moments import BatchProducts, Crossed
 from soundspaces_sim.transport.radiance_transfer.batch_variance import WindowSteps, moment_rows
 from soundspaces_sim.transport.radiance_transfer.convolution import (
     PLAIN,
@@ -44,29 +45,11 @@ class ByBatch(NamedTuple):
         return [_halves(table) for table in self]
 
 
-class Crossed(NamedTuple):
-    """In one direction, of P outgoing and Q incident points, of counts by M groups of materials at both ends."""
-
-    taken: np.ndarray  # (b, M, P, Q, T) what anchors take of V, with the same of F
-    counts: np.ndarray  # (b, M, M, P, Q, T) ⟨V^m, F^k⟩, k on the first of these axes
-
-
-class ProductsByBatch(NamedTuple):
-    """Between A and B points, of both directions. Of points with themselves `of_b` is `of_a`, `back` is `there`,
-    and what is symmetric is there for the pairs of points i and j >= i."""
-
-    raised: np.ndarray  # (b, BATCHES, A, B, T) with a batch of both ends raised, symmetric
-    within: np.ndarray  # (b, 2, A, B, T) variance that groups of patches hide, of V and of F, symmetric
-    of_a: np.ndarray  # (b, rows below the batches, A, B, T) of counts and lengths of a with all of b
-    of_b: np.ndarray  # (b, rows below the batches, B, A, T)
-    there: Crossed  # a -> b
-    back: Crossed
-
-
 def no_products(
     windows: WindowSteps, groups: int, shape: tuple[int, int, int], same: bool
-) -> ProductsByBatch:
-    """Zeros, for (bands, A, B)."""
+) -> BatchProducts:
+    """Zeros, for (bands, A, B). Of points with themselves (`same`) `of_b` is `of_a`, `back` is `there`, and what is
+    symmetric, `raised` and `within`, is there for the pairs of points i and j >= i."""
     (bands, a, b), below, steps = shape, moment_rows(groups) - BATCHES, windows.total
 
     def one_way(p: int, q: int) -> tuple[np.ndarray, Crossed]:
@@ -78,10 +61,10 @@ def no_products(
     within = np.zeros((bands, 2, a, b, steps), np.float32)
     of_a, there = one_way(a, b)
     of_b, back = (of_a, there) if same else one_way(b, a)
-    return ProductsByBatch(raised, within, of_a, of_b, there, back)
+    return BatchProducts(raised, within, of_a, of_b, there, back)
 
 
-def add_all_products(windows: WindowSteps, a: ByBatch, b: ByBatch, out: ProductsByBatch) -> None:
+def add_all_products(windows: WindowSteps, a: ByBatch, b: ByBatch, out: BatchProducts) -> None:
     """Add the products by way of a chunk of patches; `a is b` for points with themselves."""
     same, points, bands = a is b, len(a.both[0]) * len(b.both[0]), len(a.both)
     one = points * max(len(s.convolution.forward) for s in windows.stretches)

@@ -15,9 +15,9 @@ import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import at_once, over_rows, rows_of_thread, thread_count
 from soundspaces_sim.core.profile import count, stage
+from soundspaces_sim.transport.radiance_transfer.batch_moments import BatchProducts
 from soundspaces_sim.transport.radiance_transfer.batch_products import (
     ByBatch,
-    ProductsByBatch,
     add_all_products,
     no_products,
 )
@@ -86,7 +86,7 @@ class Both(NamedTuple):
 
     there: Transfer  # a -> b
     back: Transfer
-    products: ProductsByBatch
+    products: BatchProducts
 
 
 class _Workspace(NamedTuple):

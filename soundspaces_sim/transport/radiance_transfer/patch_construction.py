@@ -179,7 +179,7 @@ def make_patches(geometry: Geometry, corners: np.ndarray, scattered: np.ndarray,
         before = sum(map(len, weights))
         renumber = np.append(np.where(use, before + np.cumsum(use) - 1, -1), -1)
         table[split.number, side] = renumber[patch]
-        sides.append(_Side(renumber[patch], sign, of_side))
+        sides.append((renumber[patch], sign, of_side))
         strength = strength[use]
         weights.append(inverse(strength))
     weight = np.concatenate(weights)
@@ -205,18 +205,15 @@ def _reordered(places: Places, order: np.ndarray) -> Places:
     return Places(start, *(column[rows] for column in places[1:]))
 
 
-class _Side(NamedTuple):
-    """One side of all n pieces."""
-
-    patch: np.ndarray  # (n,) -1 for none
-    sign: np.ndarray  # (n,) 1 on the side of the stored normal, else -1
-    scattered: np.ndarray  # (n, b)
-
-
 def _places(
-    pieces: Pieces, starts: np.ndarray, unit: np.ndarray, sides: list[_Side], weight: np.ndarray
+    pieces: Pieces,
+    starts: np.ndarray,
+    unit: np.ndarray,
+    sides: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    weight: np.ndarray,
 ) -> tuple[Places, np.ndarray]:
-    """Pieces by patch, on both `sides`, and their triangles `starts` (n, 3, 3); patch middles."""
+    """Pieces by patch, and their triangles `starts` (n, 3, 3); patch middles. `sides`: of all pieces the patch
+    (n,), -1 for none, the sign (n,), 1 on the side of the stored normal, else -1, and what scatters (n, b)."""
     patch, sign, scattered = (np.concatenate(column) for column in zip(*sides, strict=True))
     order = np.argsort(patch, kind="stable")
     order = order[np.searchsorted(patch[order], 0) :]

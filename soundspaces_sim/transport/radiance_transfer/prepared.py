@@ -136,14 +136,9 @@ def transfer_subpaths(model: Model) -> TransferSubpaths:
 def late_decay(model: Model) -> Decay:
     """By which late energies are compensated: `model.once(late_decay)`."""
     if model.config.radiance_transfer.subpaths == "own":
-        return model.first.once(_pilot_decay)
+        return model.first.once(pilot_decay)
     subpaths = model.once(transfer_subpaths)
     return Decay(subpaths.decay, subpaths.reach)
-
-
-@stage("late decay")
-def _pilot_decay(model: Model) -> Decay:
-    return pilot_decay(model.world, model.seed)
 
 
 @stage("late decay")

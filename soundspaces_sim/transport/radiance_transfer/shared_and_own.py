@@ -6,6 +6,8 @@ import numpy as np
 
 from soundspaces_sim.core.errors import ConfigError
 from soundspaces_sim.core.numerics.rng import combine
+from soundspaces_sim.core.profile import stage
+from soundspaces_sim.transport.model import Model
 from soundspaces_sim.transport.paths.population import STEP
 from soundspaces_sim.transport.radiance_transfer.decay_compensation import (
     Decay,
@@ -52,15 +54,6 @@ def own_continuations(world: World) -> int:
     return max(world.settings.specular // (BATCHES * _OWN), 1)
 
 
-def shared_populations(world: World, seed: int) -> Populations:
-    """M populations with a subpath from each patch."""
-    patches, rows, key = len(world.patches.weight), subpath_count(world), _scene_key(seed)
-    return Populations(
-        np.array([combine(key, row) for row in range(rows)], np.uint64),
-        np.tile(np.arange(patches, dtype=np.int32), (rows, 1)),
-    )
-
-
 def own_populations(patch: np.ndarray, keys: np.ndarray) -> Populations:
     """Of N points, those of batch k of point i, from the patches `patch[i, k]` of (N, BATCHES, S), are population
     i BATCHES + k. `keys` (N,) uint64 of the points' random streams."""
@@ -74,8 +67,12 @@ def own_populations(patch: np.ndarray, keys: np.ndarray) -> Populations:
 
 def trace_transfer_subpaths(world: World, seed: int) -> TransferSubpaths:
     """Trace the shared transfer subpaths of a world. Raises `ConfigError` if there is no memory for them."""
-    patches = len(world.patches.weight)
-    events = trace_populations(world, shared_populations(world, seed), events_of_pilots(world, seed))
+    patches, rows, key = len(world.patches.weight), subpath_count(world), _scene_key(seed)
+    populations = Populations(  # M, with a subpath from each patch
+        np.array([combine(key, row) for row in range(rows)], np.uint64),
+        np.tile(np.arange(patches, dtype=np.int32), (rows, 1)),
+    )
+    events = trace_populations(world, populations, events_of_pilots(world, seed))
     subpaths = by_origin(events, patches, patches)
     decay, reach = fit_decay(subpaths.length, subpaths.energy)
     compensate_decay(subpaths.length, decay, reach, subpaths.energy)
@@ -110,15 +107,18 @@ def trace_own_subpaths(
     return subpaths._replace(decay=decay.rate, reach=decay.reach)
 
 
-def pilot_decay(world: World, seed: int) -> Decay:
-    """The decay that a few subpaths tell, from patches all over the scene, less a margin.
+@stage("late decay")
+def pilot_decay(model: Model) -> Decay:
+    """The decay that a few subpaths tell, from patches all over the scene, less a margin:
+    `model.first.once(pilot_decay)`.
 
     But for rounding the result is the same whatever it is, so nothing that other subpaths find is dropped for its
     length. A rate that is too low loses what is far below the first energies. One that is too high lets late
     energies rise until all others drown in their rounding: a few subpaths may miss what decays slowest. Energies do
     not rise with length before they are compensated, so that they rise by `_RISE` at most.
     """
-    events = trace_populations(world, _pilots(world, _scene_key(seed), _DECAY_PILOTS), None)
+    world = model.world
+    events = trace_populations(world, _pilots(world, _scene_key(model.seed), _DECAY_PILOTS), None)
     found = [(events.length[r, :n], events.energy[r, :n]) for r, n in enumerate(events.count)]
     rate, _ = fit_decay(*(np.concatenate(column) for column in zip(*found, strict=True)))
     longest = world.settings.max_length + STEP

@@ -20,7 +20,6 @@ from soundspaces_sim.transport.radiance_transfer.batch_moments import (
     add_batches,
     make_bin_steps,
 )
-from soundspaces_sim.transport.radiance_transfer.batch_products import ProductsByBatch
 from soundspaces_sim.transport.radiance_transfer.pair_transfer import Transfer, make_endpoints, transfer
 from soundspaces_sim.transport.radiance_transfer.plan import TransferPlan, make_transfer_plan
 from soundspaces_sim.transport.tile import Sums, Tile, Walks
@@ -51,7 +50,7 @@ def _add_error_bars(
     plan: TransferPlan,
     forward: Transfer,
     backward: Transfer,
-    products: ProductsByBatch,
+    products: BatchProducts,
     tile: Tile,
     sums: Sums,
 ) -> None:
@@ -69,7 +68,7 @@ def _add_error_bars(
         _add_difference(sums.difference[..., band], energies)
 
 
-def _of_band(products: ProductsByBatch, band: int) -> BatchProducts:
+def _of_band(products: BatchProducts, band: int) -> BatchProducts:
     there, back = (Crossed(*(table[band] for table in way)) for way in (products.there, products.back))
     return BatchProducts(*(table[band] for table in products[:4]), there, back)
 
