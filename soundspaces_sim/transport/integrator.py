@@ -17,13 +17,16 @@ from soundspaces_sim.core.numerics.kernel import at_once, over_rows, rows_of_thr
 from soundspaces_sim.core.profile import count, stage
 from soundspaces_sim.echogram.echogram import Arrivals, Echograms
 from soundspaces_sim.echogram.measure_errors import LEAST_EFFECTIVE, UNLIKELY, measure_errors
+from soundspaces_sim.transport.bsdf.surface import group_count
 from soundspaces_sim.transport.check import Origin, check_paths, check_sums, check_table
 from soundspaces_sim.transport.kept_traces import KeptTraces
 from soundspaces_sim.transport.model import EARLY_S, Model
 from soundspaces_sim.transport.path_table import PathTable
+from soundspaces_sim.transport.radiance_transfer.first_reflections import gather_reflections
+from soundspaces_sim.transport.radiance_transfer.prepared import late_decay
 from soundspaces_sim.transport.reflection_counts.of_tile import moments_of
 from soundspaces_sim.transport.smoothing import Traced, smoothed, with_errors_of
-from soundspaces_sim.transport.state import Tables, Vertices
+from soundspaces_sim.transport.state import VERTEX, Tables, Vertices
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS
 from soundspaces_sim.transport.technique import Technique, check_requirements
 from soundspaces_sim.transport.techniques import TECHNIQUES
@@ -40,7 +43,6 @@ from soundspaces_sim.transport.tile import (
     make_tile,
     nothing_arrived,
 )
-from soundspaces_sim.transport.walks import make_vertices, make_walks
 
 Progress = Callable[[int], None]  # points traced
 #: Standard deviation of a deviation over an error by so many batches (Student's t).
@@ -232,7 +234,7 @@ def _trace_side(
     that are used again. `wanted`: what arrives, what leaves."""
     shape = len(own.ends.points), len(other.ends.points)
     chunk = len((fresh := _room(own.model, *shape, *wanted)).batches)
-    vertices, reflections = make_vertices(own), []
+    vertices, reflections = _room_for_vertices(own), []
     traces = [(t.name, t.trace(own, other)) for t in techniques if t.trace is not None]
     for start in range(0, shape[0], chunk):
         rows = slice(start, min(start + chunk, shape[0]))
@@ -248,7 +250,25 @@ def _trace_side(
                     check_table(table, _origin(name, own, other, rows))
         add(rows, tables)
     del traces  # and their room
-    return make_walks(own, vertices, reflections)
+    if not reflections:
+        return Walks(own, vertices, None)
+    decay = own.model.once(late_decay)
+    with stage("first reflections"):  # of consecutive points in one piece, which uses them up
+        return Walks(own, vertices, gather_reflections(reflections, decay.rate, decay.reach))
+
+
+def _room_for_vertices(side: Side) -> Vertices:
+    """Of all points of a side; none before they are traced."""
+    settings, bands = side.model.world.settings, side.model.world.air.shape[1]
+    depth = settings.connection_depth if settings.connection_length > 0.0 else 1
+    shape, surfaces = (len(side.ends.points), settings.connected), side.model.world.surfaces
+    return Vertices(
+        np.empty((*shape, depth), VERTEX),
+        np.empty((*shape, depth, bands)),
+        np.zeros(shape, np.int64),
+        np.empty((*shape, CHANNELS)),
+        np.empty((*shape, depth, group_count(surfaces)), np.uint16),
+    )
 
 
 def _origin(technique: str, a: Side, b: Side, rows: slice = slice(None)) -> Origin:

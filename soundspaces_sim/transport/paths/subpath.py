@@ -1,5 +1,8 @@
 """Subpaths of points, for receiver volumes and vertex connections.
 
+Receiver volumes alone make every path with a scattering event, since they need nothing of the other end; the other
+techniques take over what they make with less noise.
+
 A subpath leaves its point in a uniform direction and goes on until it escapes or is too long; absorption weighs
 it, and `population` keeps the weights of a batch of subpaths alike. The same subpath serves in two roles: what
 it deposits at other points' detectors (`detect`), and the vertices that it leaves to be connected
@@ -8,11 +11,12 @@ see `mis`.
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel, part
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rng import combine, hashed_uniform
 from soundspaces_sim.core.numerics.vec3 import Vec3, add, dot, row, subtract
 from soundspaces_sim.core.profile import count
@@ -62,9 +66,12 @@ from soundspaces_sim.transport.state import (
     Tables,
     Vertices,
     World,
+    emitters_of,
     vertices_of,
 )
 from soundspaces_sim.transport.tables import BATCHES, CHANNELS, copy, harmonics
+from soundspaces_sim.transport.technique import TraceRows
+from soundspaces_sim.transport.tile import Side
 
 _GRAZING = 1e-6  # cosine below which, within rounding, a surface receives nothing
 
@@ -255,7 +262,24 @@ def trace_subpaths(
                 resample(paths, settings, limit, stage, draw, len(paths.alive))
 
 
-def make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) -> tuple[Paths, Scratch]:
+def trace(own: Side, other: Side) -> TraceRows:
+    """Subpaths of `own`, deposited at the points of `other`; they leave vertices."""
+    return partial(_trace_rows, own, other)
+
+
+def _trace_rows(own: Side, other: Side, rows: slice, tables: Tables, vertices: Vertices) -> None:
+    world, detectors = own.model.world, other.ends.detectors
+    emitters = emitters_of(own.ends, rows)
+    vertices.count[:] = 0
+    tallies: list[np.ndarray] = []
+    over_rows(
+        trace_subpaths, len(emitters.points), world, emitters, detectors, vertices, tables, chunk=1,
+        scratch=lambda: _make_work(world, detectors, tallies),
+    )  # fmt: skip
+    count_tallies(tallies)
+
+
+def _make_work(world: World, detectors: Detectors, tallies: list[np.ndarray]) -> tuple[Paths, Scratch]:
     """A batch's subpaths and a thread's working arrays, for `trace_subpaths`; `tallies`: as in `make_scratch`."""
     slots, bands = world.settings.subpaths // BATCHES, world.air.shape[1]
     surfaces = world.surfaces

@@ -1,6 +1,6 @@
 """Subpaths as techniques."""
 
-from soundspaces_sim.transport.paths import connections, receiver_volumes, specular
+from soundspaces_sim.transport.paths import connections, specular, subpath
 from soundspaces_sim.transport.technique import Technique
 
 SPECULAR = Technique(
@@ -11,7 +11,7 @@ SPECULAR = Technique(
 RECEIVER_VOLUMES = Technique(
     "receiver_volumes",
     "scattered; shares early ones with connections; none that are late, with patches",
-    trace=receiver_volumes.trace,
+    trace=subpath.trace,
 )
 CONNECTIONS = Technique(
     "connections",
