@@ -147,16 +147,6 @@ class _Tie:
         self._kept = array, scene
 
 
-def _fill_ray(builder: Any, words: Any, floats: list[Any]) -> None:
-    """Write RTCRay: org, tnear, dir, time, tfar, mask, id, flags; `floats`: origin, direction, tnear, tfar."""
-    ox, oy, oz, dx, dy, dz, tnear, tfar = floats
-    zero = ir.Constant(ir.FloatType(), 0.0)
-    for i, value in enumerate((ox, oy, oz, tnear, dx, dy, dz, zero, tfar)):
-        builder.store(value, _word(builder, words, i, ir.FloatType()))
-    for i, bits in ((9, -1), (10, 0), (11, 0)):
-        builder.store(ir.Constant(ir.IntType(32), bits), _word(builder, words, i, ir.IntType(32)))
-
-
 def _word(builder: Any, words: Any, index: int, kind: Any) -> Any:
     address = cgutils.gep_inbounds(builder, words, 0, index)
     return builder.bitcast(address, kind.as_pointer())
@@ -171,13 +161,6 @@ def _call(context: Any, builder: Any, symbol: str, handle: Any, words: Any) -> N
     builder.call(function, [builder.inttoptr(handle, pointer), builder.bitcast(words, pointer), null])
 
 
-def _ray_on_stack(builder: Any) -> Any:
-    # 96 bytes hold RTCRayHit of every Embree 4 build (80, or 84 with instance arrays), 16-aligned.
-    words = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(32), 24))
-    words.align = 16
-    return words
-
-
 def _as_float32(context: Any, builder: Any, signature: Any, arguments: Any) -> list[Any]:
     """Numbers, and the elements of tuples, as the floats that Embree reads."""
     floats = []
@@ -187,6 +170,20 @@ def _as_float32(context: Any, builder: Any, signature: Any, arguments: Any) -> l
             element = builder.extract_value(value, k) if inner else value
             floats.append(context.cast(builder, element, kind[k] if inner else kind, types.float32))
     return floats
+
+
+def _ray_on_stack(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Write RTCRay: org, tnear, dir, time, tfar, mask, id, flags; `arguments`: origin, direction, tfar."""
+    # 96 bytes hold RTCRayHit of every Embree 4 build (80, or 84 with instance arrays), 16-aligned.
+    words = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(32), 24))
+    words.align = 16
+    ox, oy, oz, dx, dy, dz, far = _as_float32(context, builder, signature, arguments)
+    zero = ir.Constant(ir.FloatType(), 0.0)
+    for i, value in enumerate((ox, oy, oz, zero, dx, dy, dz, zero, far)):
+        builder.store(value, _word(builder, words, i, ir.FloatType()))
+    for i, bits in ((9, -1), (10, 0), (11, 0)):
+        builder.store(ir.Constant(ir.IntType(32), bits), _word(builder, words, i, ir.IntType(32)))
+    return words
 
 
 @intrinsic
@@ -201,10 +198,7 @@ def intersect(
     signature = types.Tuple((types.float64, types.int64))(types.int64, origin, direction, limit)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        words = _ray_on_stack(builder)
-        *ray, far = _as_float32(context, builder, sig.args[1:], args[1:])
-        zero = ir.Constant(ir.FloatType(), 0.0)
-        _fill_ray(builder, words, [*ray, zero, far])
+        words = _ray_on_stack(context, builder, sig.args[1:], args[1:])
         int32 = ir.IntType(32)
         for i in (17, 18, 19, 20):  # primID, geomID, instID, instPrimID: invalid until hit
             builder.store(ir.Constant(int32, -1), _word(builder, words, i, int32))
@@ -229,12 +223,10 @@ def occluded(
     signature = types.boolean(types.int64, origin, direction, limit)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        words = _ray_on_stack(builder)
-        *ray, far = _as_float32(context, builder, sig.args[1:], args[1:])
-        zero = ir.Constant(ir.FloatType(), 0.0)
-        _fill_ray(builder, words, [*ray, zero, far])
+        words = _ray_on_stack(context, builder, sig.args[1:], args[1:])
         _call(context, builder, _OCCLUDED_SYMBOL, args[0], words)
         far = builder.load(_word(builder, words, 8, ir.FloatType()), typ=ir.FloatType())
+        zero = ir.Constant(ir.FloatType(), 0.0)
         return builder.fcmp_ordered("<", far, zero)  # Embree sets tfar = -inf on any hit
 
     return signature, codegen
