@@ -29,8 +29,6 @@ from soundspaces_sim.scene.load import load_scene
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.simulate import as_points
 
-__all__ = ["BuildProgress", "BuildResult", "Progress", "build_dataset", "build_datasets"]
-
 _TRACING = 0.4  # of the time of a tile of a hundred points, about: pairs take the rest, when all points are traced
 
 

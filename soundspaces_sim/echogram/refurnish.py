@@ -12,7 +12,7 @@ from soundspaces_sim import echogram as with_numba  # loads what needs Numba whe
 from soundspaces_sim.core.errors import MaterialError
 from soundspaces_sim.core.numerics.bands import band_means
 from soundspaces_sim.echogram.echogram import Echogram
-from soundspaces_sim.echogram.reflection_counts import Change, MaterialGroups, ReflectionCounts
+from soundspaces_sim.echogram.reflection_counts import MaterialGroups, ReflectionCounts
 from soundspaces_sim.echogram.time_windows import time_windows
 
 EARLY_S = 0.08  # as of `Echogram.relative_error`
@@ -257,6 +257,3 @@ def _widened(before: Echogram, after: Echogram, error: np.ndarray, variance: np.
     of_closure = np.array([_mean(error, energy, part) for part in (~late, late)])
     of_walks = before.relative_error * _factors(before, late, variance)
     return np.hypot(of_walks, of_closure).astype(np.float32)
-
-
-__all__ = ["MOST_DB", "Change", "Materials", "absorption_of", "log_ratios", "refurnished"]

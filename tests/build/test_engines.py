@@ -16,8 +16,8 @@ import psutil
 import pytest
 
 import soundspaces_sim as ss
-from soundspaces_sim.build.build import BuildProgress, build_dataset
-from soundspaces_sim.build.engines import Task, Watch
+from soundspaces_sim.build.build import build_dataset
+from soundspaces_sim.build.engines import BuildProgress, Task, Watch
 from soundspaces_sim.build.engines.capacity import PROCESS_BYTES, choose_shape
 from soundspaces_sim.core.memory import free_memory
 from tests.conftest import small_job
@@ -185,7 +185,7 @@ def test_processes_start_where_they_are_worth_it(
 _KILLS = """
 import os, signal, sys
 from pathlib import Path
-from soundspaces_sim.build.engines import Task, Watch, find_engine, read_options
+from soundspaces_sim.build.engines import BuildProgress, Task, Watch, find_engine, read_options
 import soundspaces_sim.build.engines.local as local
 
 def work(folder, number, threads):
