@@ -161,15 +161,10 @@ def _waveforms(job: Job, span: Span, entry: ShardEntry, source: Path | bytes) ->
 
         def one(l: int) -> tuple[np.ndarray, np.ndarray]:
             with working_in(rendering):
-                return render_pair(l)
-
-        def render_pair(l: int) -> tuple[np.ndarray, np.ndarray]:
-            seed = pair_seed(config.seed, span[0][0] + s, span[1][0] + l)
-            field = make(echograms[l], config.rate, seed)
-            ears = (
-                binaural_rirs(field, config.rate, turns) if turns else np.empty((0, 2, field.shape[1]))
-            )
-            return field, ears
+                seed = pair_seed(config.seed, span[0][0] + s, span[1][0] + l)
+                field = make(echograms[l], config.rate, seed)
+                none = np.empty((0, 2, field.shape[1]))
+                return field, binaural_rirs(field, config.rate, turns) if turns else none
 
         with ThreadPoolExecutor(threads) as pool:
             return list(pool.map(one, range(len(echograms))))

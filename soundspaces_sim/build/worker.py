@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from soundspaces_sim.build.finish import is_finished
-from soundspaces_sim.build.job_file import Job, has_job, open_job
+from soundspaces_sim.build.job_file import has_job, open_job
 from soundspaces_sim.build.square import squares
 from soundspaces_sim.build.tile import build_tiles
 from soundspaces_sim.build.wait import wait_for
@@ -63,7 +63,8 @@ def _work(
     start, collected = time.perf_counter(), here() is not None
     try:
         with profiled("tiles") as found:
-            made = build_tiles(_job(path, timeout_s), numbers, progress, upcoming)
+            wait_for(lambda: has_job(path) or is_finished(path), path, timeout_s)
+            made = build_tiles(open_job(path), numbers, progress, upcoming)
     except DatasetError as error:
         if has_job(path) or not is_finished(path):
             raise DatasetError(f"{error} (on {socket.gethostname()})") from error
@@ -74,8 +75,3 @@ def _work(
         number: Done(made[number], seconds, profile if number == numbers[0] else None)
         for number in numbers
     }
-
-
-def _job(folder: Path, timeout_s: float) -> Job:
-    wait_for(lambda: has_job(folder) or is_finished(folder), folder, timeout_s)
-    return open_job(folder)

@@ -152,18 +152,15 @@ class JobConfig(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 def as_config(raw: dict[str, Any]) -> JobConfig:
     """The settings of a parsed TOML file. Raises `ConfigError`, which names the setting."""
+    simulation, tables = raw.get("simulation"), raw
+    if isinstance(simulation, dict):  # tables within [simulation] may be given as true or false
+        tables = {**raw, "simulation": with_switches(simulation)}
     try:
-        return msgspec.convert(_with_switches(raw), JobConfig)
+        return msgspec.convert(tables, JobConfig)
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, ConfigError):
             raise error.__cause__ from error
         raise ConfigError(_in_words(without_null(str(error)), raw)) from error
-
-
-def _with_switches(raw: dict[str, Any]) -> dict[str, Any]:
-    """The tables of a config, those within [simulation] that are given as true or false as tables."""
-    simulation = raw.get("simulation")
-    return {**raw, "simulation": with_switches(simulation)} if isinstance(simulation, dict) else raw
 
 
 def _in_words(message: str, raw: dict[str, Any]) -> str:

@@ -49,14 +49,6 @@ def discrete_model(scene: Scene, config: SimulationConfig, seed: int = 0) -> Mod
     return at_duration(prepare_scene(scene, config), config.time_grid[0][1], seed)
 
 
-def place_side(model: Model, place: np.ndarray) -> Side:
-    """A place (3,) m as a side of a tile, without detectors: nothing walks here."""
-    point = off_faces(model.world.geometry, place[None] - model.scene.center)
-    return Side(
-        model, place[None], Ends(point, point_keys(place[None], model.seed), model.once(_no_detectors))
-    )
-
-
 def _no_detectors(model: Model) -> Detectors:
     nowhere, keys = np.zeros((1, 3)), np.zeros(1, np.uint64)
     return make_detectors(model.world.geometry, nowhere, keys, model.world.radii)
@@ -103,7 +95,10 @@ class SimulatedPaths:
         if key not in kept:
             if len(kept) >= _MOST_SIDES:
                 kept.clear()
-            kept[key] = place_side(self._model, position)
+            model, place = self._model, position[None]
+            point = off_faces(model.world.geometry, place - model.scene.center)
+            detectors = model.once(_no_detectors)  # nothing walks here
+            kept[key] = Side(model, place, Ends(point, point_keys(place, model.seed), detectors))
         return kept[key]
 
     def arriving(self, source: np.ndarray, listener: np.ndarray) -> Arriving:

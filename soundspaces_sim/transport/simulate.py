@@ -76,26 +76,16 @@ def simulate(
     """
     ready = load_scene(scene)
     with deferred(), profiled("simulate"):
-        return _simulate(ready, sources, listeners, config, seed)
-
-
-def _simulate(
-    scene: Scene,
-    sources: Points,
-    listeners: Points,
-    config: SimulationConfig | None,
-    seed: int,
-) -> Echograms:
-    config = of_simulation(config or SimulationConfig())
-    (places, heads), (spots, ears) = as_ends(sources, Source), as_ends(listeners, Listener)
-    a, b = as_points(places, "sources"), as_points(spots, "listeners")
-    model = model_between(scene, a, b, config, seed)
-    if heads is not None or ears is not None:
-        found = _simulate_ends(model, a, b, heads, ears)
-    else:
-        found = simulate_between(model, a, b)
-    _warn_of_silence(model, found)
-    return with_notes(model, found)
+        config = of_simulation(config or SimulationConfig())
+        (places, heads), (spots, ears) = as_ends(sources, Source), as_ends(listeners, Listener)
+        a, b = as_points(places, "sources"), as_points(spots, "listeners")
+        model = model_between(ready, a, b, config, seed)
+        if heads is not None or ears is not None:
+            found = _simulate_ends(model, a, b, heads, ears)
+        else:
+            found = simulate_between(model, a, b)
+        _warn_of_silence(model, found)
+        return with_notes(model, found)
 
 
 def _warn_of_silence(model: Model, echoes: Echograms) -> None:
