@@ -223,7 +223,6 @@ class _Sample(NamedTuple):
 
 def _sample_grid(scene: Scene, config: GridConfig) -> _Sample:
     """The grid of a scene, of a wider spacing where that has too many candidates."""
-    spacing = config.spacing
     notes: tuple[str, ...] = ()
     try:
         spacing = _spacing_of_sample(scene, config)

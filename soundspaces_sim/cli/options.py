@@ -138,7 +138,7 @@ def reported(command: str, wanted: bool) -> Iterator[None]:
 ReadOne = Callable[[str], Any]  # name -> Scene
 
 
-def _read(
+def _how_to_load(
     scene: Annotated[str, typer.Argument(help="Built-in name, scene folder or mesh file.")],
     *,
     materials: Annotated[Path | None, typer.Option(help="TOML file of materials.")] = None,
@@ -156,17 +156,8 @@ def _read(
         ),
     ] = None,
     decimate: Annotated[float | None, typer.Option(help="Share of the faces to keep.")] = None,
-) -> Any:
-    return ss.load_scene(
-        scene,
-        materials=materials,
-        labels=labels,
-        up=up,
-        unit=unit,
-        strict_materials=strict_materials,
-        ceiling=ceiling,
-        decimate=decimate,
-    )
+) -> None:
+    """What `load_scene` is told: its parameters, as typer reads them."""
 
 
 def takes_scenes(command: Callable[..., None]) -> Callable[..., None]:
@@ -184,14 +175,14 @@ def takes_scenes(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def takes_scene(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options of `_read`. Its own first parameters are the scene's name and a function
+    """Give a command the options of `_how_to_load`. Its own first parameters are the scene's name and a function
     that reads the scene as the options say."""
-    first = next(iter(inspect.signature(_read, eval_str=True).parameters.values()))
+    first = next(iter(inspect.signature(_how_to_load, eval_str=True).parameters.values()))
     return _taking(command, first)
 
 
 def _taking(command: Callable[..., None], argument: inspect.Parameter) -> Callable[..., None]:
-    how = list(inspect.signature(_read, eval_str=True).parameters.values())[1:]
+    how = list(inspect.signature(_how_to_load, eval_str=True).parameters.values())[1:]
     own = list(inspect.signature(command, eval_str=True).parameters.values())[2:]
 
     @wraps(command)
@@ -199,9 +190,9 @@ def _taking(command: Callable[..., None], argument: inspect.Parameter) -> Callab
         chosen = {p.name: given.pop(p.name) for p in how}
         names = given.pop(argument.name)
         if isinstance(names, str):
-            command(names, partial(_read, names, **chosen), **given)
+            command(names, partial(ss.load_scene, names, **chosen), **given)
         else:
-            command(names, partial(_read, **chosen), **given)
+            command(names, partial(ss.load_scene, **chosen), **given)
 
     return _signed(run, [argument, *map(_keyword, own), *how])
 
