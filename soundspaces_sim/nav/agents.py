@@ -62,8 +62,7 @@ class Oracle(_Arriving):
 
     name = "Oracle"
 
-    def go(self, observation: Observation) -> int:
-        del observation
+    def go(self, _observation: Observation) -> int:
         return oracle_action(self.state)
 
 
@@ -72,8 +71,7 @@ class Random(_Arriving):
 
     name = "Random"
 
-    def go(self, observation: Observation) -> int:
-        del observation
+    def go(self, _observation: Observation) -> int:
         return int(self.rng.integers(FORWARD, RIGHT + 1))
 
 
@@ -82,8 +80,7 @@ class Forward(_Arriving):
 
     name = "Forward"
 
-    def go(self, observation: Observation) -> int:
-        del observation
+    def go(self, _observation: Observation) -> int:
         return RIGHT if self.state.collided else FORWARD
 
 
@@ -92,8 +89,7 @@ class GoalFollower(_Arriving):
 
     name = "GoalFollower"
 
-    def go(self, observation: Observation) -> int:
-        del observation
+    def go(self, _observation: Observation) -> int:
         points = self.state.graph.points
         dx, dy = points[self.state.episode.goal, :2] - points[self.state.node, :2]
         wanted = round(float(np.rad2deg(np.arctan2(dy, dx))) / 90.0) % 4

@@ -1,8 +1,4 @@
-"""What agents learn and are tested in: a folder of datasets, their scenes parted into splits.
-
-`splits.toml` in the folder names the scenes of each split, ``train = ["home-0", "home-1"]``; no scene is in
-two. Without that file all datasets are the split ``train``.
-"""
+"""What agents learn and are tested in: the datasets of a folder, parted into splits (`dataset.format.splits`)."""
 
 from __future__ import annotations
 
