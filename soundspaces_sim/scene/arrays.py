@@ -18,7 +18,7 @@ from soundspaces_sim.core.numerics.rows import unique_rows
 from soundspaces_sim.scene.adopt import concatenate_parts, parts_of
 from soundspaces_sim.scene.labels import assign_materials, load_labels
 from soundspaces_sim.scene.materials import MaterialTable, stack_materials
-from soundspaces_sim.scene.triangles import areas
+from soundspaces_sim.scene.triangles import areas, check_mesh
 
 #: Absorption (a number in [0, 1]) or the name of a material.
 Surface = float | str
@@ -96,10 +96,6 @@ def mesh_arrays(mesh: Any, name: str) -> tuple[np.ndarray, np.ndarray, tuple[str
         raise SceneError(f"{name}: the mesh has no faces (a point cloud?); need triangles")
     for vertices, faces, _ in parts:
         _as_mesh(vertices, faces, name)
-        if faces.min() < 0 or faces.max() >= len(vertices):
-            raise SceneError(
-                f"{name}: face indices reach {faces.min()}..{faces.max()}, but there are {len(vertices)} vertices"
-            )
     return concatenate_parts(parts)
 
 
@@ -116,10 +112,7 @@ def _as_mesh(vertices: ArrayLike, faces: ArrayLike, name: str) -> tuple[np.ndarr
         rows = np.asarray(faces)
     except (ValueError, TypeError) as error:
         raise SceneError(f"{name}: faces need shape (F, 3) and integers ({error})") from error
-    if points.ndim != 2 or points.shape[1:] != (3,):
-        raise SceneError(f"{name}: vertices need shape (V, 3), got {points.shape}")
-    if rows.ndim != 2 or rows.shape[1:] != (3,) or rows.dtype.kind not in "iu":
-        raise SceneError(f"{name}: faces need shape (F, 3) and integers, got {rows.shape} {rows.dtype}")
+    check_mesh(points, rows, name)
     return points, rows
 
 

@@ -15,7 +15,14 @@ import numpy as np
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.heightfield import too_large
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.triangles import boxes, corners_of, pieces_of, used_rows, welded_faces
+from soundspaces_sim.scene.triangles import (
+    boxes,
+    check_mesh,
+    corners_of,
+    pieces_of,
+    used_rows,
+    welded_faces,
+)
 from soundspaces_sim.scene.walkable import find_floors
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -94,13 +101,7 @@ def _check(mesh: LabelledMesh, up: str | None, unit: str | None) -> None:
     vertices, faces = mesh.vertices, mesh.faces
     if len(faces) == 0:
         raise SceneError(f"{mesh.name}: the mesh has no faces (a point cloud?); need triangles")
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise SceneError(f"{mesh.name}: vertices need three coordinates, got shape {vertices.shape}")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise SceneError(
-            f"{mesh.name}: face indices reach {faces.min()}..{faces.max()}, but there are {len(vertices)} "
-            "vertices; is the file complete?"
-        )
+    check_mesh(vertices, faces, mesh.name, "; is the file complete?")
     largest = float(np.abs(vertices[used_rows(faces, len(vertices))]).max())
     if not np.isfinite(largest):
         raise SceneError(f"{mesh.name}: some faces have coordinates that are not finite (NaN or inf)")

@@ -37,6 +37,7 @@ from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.triangles import (
     areas,
     boxes,
+    check_mesh,
     corners_of,
     cross_products,
     longest_edges,
@@ -233,17 +234,7 @@ class Scene:
     ) -> None:
         if faces.size == 0:
             raise SceneError(f"{self.name}: the mesh has no faces (a point cloud?); need triangles")
-        if vertices.ndim != 2 or vertices.shape[1] != 3:
-            raise SceneError(f"{self.name}: vertices need shape (V, 3), got {vertices.shape}")
-        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-            raise SceneError(
-                f"{self.name}: faces need shape (F, 3) and integers, got {faces.shape} {faces.dtype}"
-            )
-        if faces.min() < 0 or faces.max() >= len(vertices):
-            raise SceneError(
-                f"{self.name}: face indices reach {faces.min()}..{faces.max()}, "
-                f"but there are {len(vertices)} vertices"
-            )
+        check_mesh(vertices, faces, self.name)
         used = vertices[used_rows(faces, len(vertices))]
         if not np.isfinite(used).all():
             bad = int((~np.isfinite(vertices[faces])).any(axis=(1, 2)).sum())

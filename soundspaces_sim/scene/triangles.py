@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows
 from soundspaces_sim.core.numerics.rows import taken, unique_numbers, unique_rows
 from soundspaces_sim.core.numerics.vec3 import add, cross, divide, dot, length, put, row, subtract
@@ -64,6 +65,21 @@ def points_on(corners: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     root, v = np.sqrt(u)[:, None], v[:, None]
     a, b, c = corners.transpose(1, 0, 2)
     return np.asarray((1.0 - root) * a + (root * (1.0 - v)) * b + (root * v) * c)
+
+
+def check_mesh(vertices: np.ndarray, faces: np.ndarray, name: str, remedy: str = "") -> None:
+    """Raise `SceneError`, which names the mesh, unless `faces` (F, 3) are rows of `vertices` (V, 3)."""
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise SceneError(f"{name}: vertices need shape (V, 3), got {vertices.shape}")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise SceneError(
+            f"{name}: faces need shape (F, 3) and integers, got {faces.shape} {faces.dtype}"
+        )
+    if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise SceneError(
+            f"{name}: face indices reach {faces.min()}..{faces.max()}, but there are {len(vertices)} "
+            f"vertices{remedy}"
+        )
 
 
 def corners_of(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

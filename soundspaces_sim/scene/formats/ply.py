@@ -17,6 +17,7 @@ import numpy as np
 
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.scene.formats.limits import PLY_HEADER, check_ply, open_mesh
+from soundspaces_sim.scene.triangles import check_mesh
 
 _KINDS = {
     "char": "i1",
@@ -100,11 +101,7 @@ def read_labelled_ply(
         ) from error
     if len(triangles) == 0:
         raise SceneError(f"{path}: the mesh has no faces (a point cloud?); need triangles")
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise SceneError(
-            f"{path}: face indices reach {triangles.min()}..{triangles.max()}, but there are "
-            f"{len(vertices)} vertices; is the file complete?"
-        )
+    check_mesh(vertices, triangles, str(path), "; is the file complete?")
     return vertices, triangles, numbers
 
 
