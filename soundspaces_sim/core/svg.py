@@ -11,14 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-BLUE, ORANGE, VERMILION, GREEN, GREY, BLACK = (
-    "#0072B2",
-    "#E69F00",
-    "#D55E00",
-    "#009E73",
-    "#777777",
-    "#222222",
-)
+BLUE, ORANGE, VERMILION, GREEN = "#0072B2", "#E69F00", "#D55E00", "#009E73"
+GREY, BLACK = "#777777", "#222222"
 CYCLE = (BLUE, ORANGE, GREEN, VERMILION)
 _MOST = 4000  # shapes of a layer; more are thinned out
 

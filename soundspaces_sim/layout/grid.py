@@ -90,11 +90,10 @@ def floors_under(
         for layer in range(max(int(rank[here].max(initial=0)), 0) + 1):
             chosen = here & (rank == layer)
             field = _field(ground, base, chosen, level)
-            rows = (
-                np.arange(len(places)) if layer == 0 else np.flatnonzero(_beside(ground, chosen)[i, j])
-            )
-            guess, beside = field[i[rows], j[rows]], _beside(ground, chosen)[i[rows], j[rows]]
-            floor, lies_on, below = _surface(scene, places[rows], guess, beside)
+            beside = _beside(ground, chosen)[i, j]
+            rows = np.arange(len(places)) if layer == 0 else np.flatnonzero(beside)
+            guess = field[i[rows], j[rows]]
+            floor, lies_on, below = _surface(scene, places[rows], guess, beside[rows])
             floor[np.abs(floor - level) <= _LEVEL] = level
             kept = lies_on
             if layer == 0:

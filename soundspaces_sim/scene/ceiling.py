@@ -101,9 +101,8 @@ def _cover(
     mesh: LabelledMesh, columns: Columns, open_: np.ndarray, height: float, where: str
 ) -> LabelledMesh:
     near = scipy.ndimage.distance_transform_edt(~open_) * _CELL <= _REACH
-    low = (columns.top < height - _CELL).reshape(open_.shape) & np.isfinite(columns.top).reshape(
-        open_.shape
-    )
+    top = columns.top.reshape(open_.shape)
+    low = (top < height - _CELL) & np.isfinite(top)
     # To the middle of the walls.
     area = scipy.ndimage.binary_dilation(open_ | (near & low), iterations=2)
     vertices, faces = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
