@@ -23,13 +23,14 @@ class EchogramShard(Shard):
     """An open echogram shard. `air`: see `Echogram`; the manifest knows it."""
 
     def __init__(self, source: Path | bytes, air: Air | None = None) -> None:
-        super().__init__(source, "echogram")
         self._air = air
+        super().__init__(source, "echogram")
+
+    def _read_own(self) -> None:
         self.time_edges = self.read("time_edges")
         self.speed_of_sound = float(self.attribute("speed_of_sound"))
         step = float(self.attribute("energy_step_db"))
         if not 0.0 < step <= 10.0 or not 0.0 < self.speed_of_sound < 1e5:
-            self.close()
             raise DatasetError(
                 f"{self.where}: {step} dB per step or {self.speed_of_sound} m/s cannot be; {REBUILD}"
             )
@@ -42,13 +43,9 @@ class EchogramShard(Shard):
         if self.version < 8:  # it has room for two reflections
             groups = self.early["groups"]
             self.early["groups"] = np.pad(groups, ((0, 0), (0, 1)), constant_values=-1)
-        try:
-            self.counts = StoredCounts(self)
-            self.low = StoredLow(self)
-            self._check_arrivals()
-        except BaseException:
-            self.close()
-            raise
+        self.counts = StoredCounts(self)
+        self.low = StoredLow(self)
+        self._check_arrivals()
 
     def _check_arrivals(self) -> None:
         early, edges = self.early, self.time_edges

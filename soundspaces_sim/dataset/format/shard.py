@@ -40,9 +40,13 @@ class Shard:
             names = "status", "walls", "relative_error", "measure_error", "geodesic", *MEASURES
             self.pairs = {name: self.read(name) for name in names}
             self._check_values()
+            self._read_own()
         except BaseException:
             self.file.close()
             raise
+
+    def _read_own(self) -> None:
+        """What this form has besides, read and checked."""
 
     def attribute(self, name: str) -> Any:
         """An attribute: one number, or a text. Raises `DatasetError`."""

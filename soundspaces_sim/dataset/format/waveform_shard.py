@@ -16,17 +16,12 @@ class WaveformShard(Shard):
 
     def __init__(self, source: Path | bytes) -> None:
         super().__init__(source, "waveform")
+
+    def _read_own(self) -> None:
         self.rate = int(self.attribute("rate"))
         self.headings = tuple(float(h) for h in self.read("headings"))
         self._length = self.read("length")
         self._scale = {name: self.read(f"{name}_scale") for name in ("ambisonic", "binaural")}
-        try:
-            self._check_samples()
-        except BaseException:
-            self.close()
-            raise
-
-    def _check_samples(self) -> None:
         longest = self.file["ambisonic"].shape[-1]
         within = (self._length >= 0) & (self._length <= longest)
         self.require(within, "length", f"0 to {longest} samples")

@@ -85,19 +85,6 @@ def _half(errors: np.ndarray) -> np.ndarray:
     return np.where(np.isinf(errors), np.inf, np.minimum(errors, 6e4)).astype(np.float16)
 
 
-def _identity_fields(
-    echoes: Echograms, source_index: np.ndarray, listener_index: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Datasets that say which pairs a shard holds."""
-    return {
-        "source_index": source_index.astype(np.int64),
-        "listener_index": listener_index.astype(np.int64),
-        "source_position": echoes.sources,
-        "listener_position": echoes.listeners,
-        "band_edges": np.array(echoes.bands),
-    }
-
-
 class _ShardWriter:
     """An HDF5 file in memory; `finish` checks it against the schema and returns its bytes."""
 
@@ -173,14 +160,16 @@ def encode_echograms(
     """
     _check_values(echoes)
     peak, code, moments = _codes(echoes.energy)
-
     names, counts, of_pairs = count_fields(echoes)
     edge, low, peaks = low_fields(echoes)
     own = {"energy_step_db": _STEP_DB, "group_names": names, "low_edge": edge}
-    attributes = {**own, **attributes}
-    writer = _ShardWriter("echogram", attributes)
+    writer = _ShardWriter("echogram", {**own, **attributes})
     fields = {
-        **_identity_fields(echoes, source_index, listener_index),
+        "source_index": source_index.astype(np.int64),
+        "listener_index": listener_index.astype(np.int64),
+        "source_position": echoes.sources,
+        "listener_position": echoes.listeners,
+        "band_edges": np.array(echoes.bands),
         "time_edges": echoes.time_edges,
         "energy_peak": peak.astype(np.float32),
         "direct_energy": echoes.direct_energy.astype(np.float32),
