@@ -42,8 +42,11 @@ def find_matterport(path: Path) -> tuple[Path, Path] | None:
     return None
 
 
-def load_matterport(house: Path, ply: Path) -> LabelledMesh:
+def load_matterport(source: str) -> LabelledMesh:
     """Read a scene. Raises `SceneError`."""
+    files = find_matterport(Path(source))
+    assert files is not None
+    house, ply = files
     categories, by_mapping, objects = _read_house(house)
     vertices, faces, numbers = read_labelled_ply(ply, ("object_id", "face_category"))
     if "object_id" in numbers:  # Habitat's form: rows of the O lines
@@ -88,14 +91,8 @@ def _read_house(path: Path) -> tuple[dict[int, str], dict[int, str], dict[int, s
     return categories, by_mapping, objects
 
 
-def _read(source: str) -> LabelledMesh:
-    files = find_matterport(Path(source))
-    assert files is not None
-    return load_matterport(*files)
-
-
 FORMAT = SceneFormat(
     "a Matterport3D scene's folder (<scene>.house and <scene>_semantic.ply), or one of its files",
     lambda source: find_matterport(Path(source)) is not None,
-    _read,
+    load_matterport,
 )

@@ -20,8 +20,10 @@ def find_replica(path: Path) -> Path | None:
     return None
 
 
-def load_replica(folder: Path) -> LabelledMesh:
+def load_replica(source: str) -> LabelledMesh:
     """Read a scene; each face's label is the class of its object. Raises `SceneError`."""
+    folder = find_replica(Path(source))
+    assert folder is not None
     name = folder.parent.name if folder.name == "habitat" else folder.name
     vertices, faces, numbers = read_labelled_ply(folder / _MESH, ("object_id",))
     if "object_id" not in numbers:
@@ -56,14 +58,8 @@ def _read_classes(path: Path) -> dict[int, str]:
     return result
 
 
-def _read(source: str) -> LabelledMesh:
-    folder = find_replica(Path(source))
-    assert folder is not None
-    return load_replica(folder)
-
-
 FORMAT = SceneFormat(
     "a Replica scene's folder (habitat/mesh_semantic.ply and habitat/info_semantic.json)",
     lambda source: find_replica(Path(source)) is not None,
-    _read,
+    load_replica,
 )
