@@ -36,7 +36,7 @@ def finish_folder(folder: str | Path, timeout_s: float = 0.0) -> Manifest:
     folder = Path(folder)
     if not is_finished(folder):
         try:
-            return finish_job(open_job(folder), timeout_s)
+            return _finish(open_job(folder), timeout_s)
         except DatasetError:
             if not is_finished(folder):
                 raise  # else somebody else was quicker, and took the job away
@@ -44,11 +44,8 @@ def finish_folder(folder: str | Path, timeout_s: float = 0.0) -> Manifest:
     return read_manifest(folder)
 
 
-def finish_job(job: Job, timeout_s: float = 0.0) -> Manifest:
-    """Publish the manifest with the size and SHA-256 of every shard, and delete the job file.
-
-    `timeout_s` as for `finish_folder`. Raises `DatasetError` if a shard is missing or of something else.
-    """
+def _finish(job: Job, timeout_s: float) -> Manifest:
+    """Publish the manifest with the size and SHA-256 of every shard, and delete the job file."""
     draft, folder = job.plan.draft, job.folder
     lacking = list(draft.shards)
 
