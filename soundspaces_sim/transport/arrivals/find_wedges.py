@@ -59,11 +59,16 @@ def find_wedges(scene: Scene) -> Wedges:
 def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
     """The wedges of a scene, the longest first, and a line that says what was found by what."""
     vertices = scene.vertices - scene.center
-    pieces = _pieces(vertices, scene.faces)
+    points, welded = welded_faces(vertices, scene.faces, _WELD)
+    points[welded] = vertices[
+        scene.faces
+    ]  # as they are: rounded ends turn short sides out of their line
+    side = side_numbers(welded)
+    pieces = _pieces(points, welded, side)
     lines = _lines(pieces)
     exact = [candidate for line in lines for candidate in _wedges_of_line(pieces, line)]
     ends = np.array([_ends_of_line(pieces, line) for line in lines]).reshape(-1, 2, 3)
-    fitted, planes = plane_edges(vertices, scene.faces, MIN_LENGTH)
+    fitted, planes = plane_edges(vertices, scene.faces, side, MIN_LENGTH)
     wedges = _tried(scene, exact)
     count, sides = len(wedges.n), float(wedges.length.sum())
     if fitted := [candidate for candidate in fitted if not _seen(candidate, ends)]:
@@ -144,13 +149,12 @@ class _Pieces(NamedTuple):
     inward: np.ndarray  # (n, 3) unit, in the triangle, normal to the side
 
 
-def _pieces(vertices: np.ndarray, faces: np.ndarray) -> _Pieces:
-    points, welded = welded_faces(vertices, faces, _WELD)
-    points[welded] = vertices[faces]  # as they are: rounded ends turn short sides out of their line
-    faces = welded[(welded != np.roll(welded, 1, axis=1)).all(axis=1)]
+def _pieces(points: np.ndarray, faces: np.ndarray, side: np.ndarray) -> _Pieces:
+    """Of welded faces, whose sides have these numbers (F, 3)."""
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    faces, side = faces[whole], side[whole].T.ravel()
     inward, width = np.empty((3 * len(faces), 3)), np.empty(3 * len(faces))
     over_rows(_find_inward, len(faces), points, faces, inward, width, least=_OF_THREAD)
-    side = side_numbers(faces).T.ravel()
     count = np.bincount(side)
     total = np.stack([np.bincount(side, w, len(count)) for w in inward.T], axis=1)
     # Two unit vectors, x away from opposite, have a sum of length 2 sin(x / 2).

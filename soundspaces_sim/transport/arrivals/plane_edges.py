@@ -94,10 +94,12 @@ class _Contact(NamedTuple):
     length: float  # m
 
 
-def plane_edges(vertices: np.ndarray, faces: np.ndarray, least: float) -> tuple[list[Candidate], int]:
+def plane_edges(
+    vertices: np.ndarray, faces: np.ndarray, side: np.ndarray, least: float
+) -> tuple[list[Candidate], int]:
     """(Candidates at least so many m long: creases first, then borders, which are tried as those of a sheet and as
-    those of either side of a body; number of planes)."""
-    planes = group_planes(vertices, faces, FACES)
+    those of either side of a body; number of planes). `side` (F, 3): `side_numbers` of the faces."""
+    planes = group_planes(vertices, faces, FACES, side)
     if not _scanned(vertices[faces], planes):
         return [], len(planes.offset)
     sheets = _sheets(vertices, faces, planes)

@@ -13,13 +13,14 @@ Host code (numpy): it runs once per scene.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row
+from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.vec3 import Vec3, add, divide, dot, length, put, row, scale
 from soundspaces_sim.scene.rays.box_tree import in_place_order
 from soundspaces_sim.scene.triangles import (
     areas,
@@ -28,8 +29,6 @@ from soundspaces_sim.scene.triangles import (
     cross_products,
     longest_edges,
     middles,
-    side_numbers,
-    welded_faces,
 )
 
 _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
@@ -39,10 +38,10 @@ _NOISE = 3.0  # times a rough plane's rms stray: what is nearer is part of it
 _FLAT = 0.0005  # m
 _SEED = 0.25  # of the least area, of what a plane grows from
 _GROW, _GROWN = 8, 1.01  # times at most, while a plane grows by more than this
-_WELD = 4  # decimals of a metre
 _FLAT_COS = float(np.cos(np.deg2rad(0.3)))  # of triangles side by side: of scans most turn by more
 _ROUNDS = 3  # of smoothing
 _SIMILAR = 0.35  # rad: a neighbour that turns by more counts less than half
+_OF_THREAD = 4096  # faces for which it is worth to start a thread
 _BLOCK = 32  # faces that are tried together
 _ROUNDING = 1e-6  # m, more than it is
 _SLAB = 0.5  # of a group's rms stray: two sides that stray less are those of a slab
@@ -54,11 +53,10 @@ class Grain(NamedTuple):
     area: float  # m², of the smallest
     offset: float  # m, of a triangle's corners from its plane
     patch: float  # m, of small triangles from which a plane grows: their mean normal is good where noise turns each
-    smooth: bool  # noisy normals are smoothed first: planes are told apart that are small, or near each other
 
 
 #: Walls mirror sound; at the edges of faces it bends.
-WALLS, FACES = Grain(0.3, 0.05, 0.5, smooth=False), Grain(0.03, 0.015, 0.3, smooth=True)
+WALLS, FACES = Grain(0.3, 0.05, 0.5), Grain(0.03, 0.015, 0.3)
 
 
 class SpecularPlanes(NamedTuple):
@@ -70,12 +68,15 @@ class SpecularPlanes(NamedTuple):
     of_face: np.ndarray  # (F,) row, or -1
 
 
-def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) -> SpecularPlanes:
-    """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes."""
+def group_planes(
+    vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS, side: np.ndarray | None = None
+) -> SpecularPlanes:
+    """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes. `side`: (F, 3) `side_numbers` of the triangles,
+    if noisy normals are to be smoothed first: then planes are told apart that are small, or near each other."""
     corners = corners_of(vertices, faces)
     cross = cross_products(corners)
-    if grain.smooth:
-        cross = _smoothed(vertices, faces, cross)
+    if side is not None:
+        cross = _smoothed(cross, side)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
     # One sign per plane: the largest component is positive.
@@ -128,34 +129,50 @@ def group_planes(vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS) 
     )
 
 
-def _smoothed(vertices: np.ndarray, faces: np.ndarray, cross: np.ndarray) -> np.ndarray:
+def _smoothed(cross: np.ndarray, side: np.ndarray) -> np.ndarray:
     """Cross products (F, 3) of a scan's triangles, turned to the mean of those beside them, where what turns more
     counts less: noise goes, creases stay. Unchanged where most of the area is flat.
 
     Source: Y. Zheng et al. (2011), Bilateral normal filtering for mesh denoising, IEEE TVCG 17 (10).
     """
-    side = side_numbers(welded_faces(vertices, faces, _WELD)[1]).ravel()
-    order = np.argsort(side, kind="stable")
-    twice = np.flatnonzero(np.diff(side[order]) == 0)
-    twice = twice[np.bincount(side)[side[order[twice]]] == 2]
-    one, other = order[twice] // 3, order[twice + 1] // 3
     size = np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(size, 1e-300)[:, None]
-    turned = np.zeros(len(faces), bool)
-    cos = np.abs((normal[one] * normal[other]).sum(axis=1))
-    noisy = (cos > _MAX_TURN_COS) & (cos < _FLAT_COS)
-    turned[one[noisy]] = turned[other[noisy]] = True
-    if size[turned].sum() < 0.5 * size.sum():
+    beside = _beside(side)
+    noisy = np.zeros(len(cross), bool)
+    for other in beside.T:
+        cos = np.abs(np.einsum("fi,fi->f", normal, normal[other]))
+        noisy |= (other >= 0) & (cos > _MAX_TURN_COS) & (cos < _FLAT_COS)
+    if size[noisy].sum() < 0.5 * size.sum():
         return cross
     for _ in range(_ROUNDS):
-        cos = (normal[one] * normal[other]).sum(axis=1)
-        weight = np.copysign(np.exp((np.abs(cos) - 1.0) / _SIMILAR**2), cos)
-        total = size[:, None] * normal
-        for axis, column in enumerate(normal.T):
-            for own, beside in ((one, other), (other, one)):
-                total[:, axis] += np.bincount(own, weight * size[beside] * column[beside], len(faces))
-        normal = total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
+        turned = np.empty_like(normal)
+        over_rows(_turn, len(normal), beside, size, normal, turned, least=_OF_THREAD)
+        normal = turned
     return size[:, None] * normal
+
+
+def _beside(side: np.ndarray) -> np.ndarray:
+    """(F, 3) the triangle beyond each side, -1 where there is none or more than one."""
+    face = np.repeat(np.arange(len(side)), 3)
+    count, total = np.bincount(side.ravel()), np.bincount(side.ravel(), face)
+    other = total[side].astype(np.int64) - face.reshape(-1, 3)
+    return np.where(count[side] == 2, other, -1).astype(np.int32)
+
+
+@kernel
+def _turn(
+    first: int, last: int, beside: np.ndarray, size: np.ndarray, normal: np.ndarray, out: np.ndarray
+) -> None:
+    for f in range(first, last):
+        own = row(normal, f)
+        total = scale(size[f], own)
+        for k in range(3):
+            g = beside[f, k]
+            if g >= 0:
+                cos = dot(own, row(normal, g))
+                weight = math.copysign(math.exp((abs(cos) - 1.0) / _SIMILAR**2), cos)
+                total = add(total, scale(weight * size[g], row(normal, g)))
+        put(out, f, divide(total, max(length(total), 1e-300)))
 
 
 class _Blocks(NamedTuple):
