@@ -185,7 +185,7 @@ def test_processes_start_where_they_are_worth_it(
 _KILLS = """
 import os, signal, sys
 from pathlib import Path
-from soundspaces_sim.build.engines import BuildProgress, Task, Watch, find_engine, read_options
+from soundspaces_sim.build.engines import Task, Watch, find_engine, read_options
 import soundspaces_sim.build.engines.local as local
 
 def work(folder, number, threads):

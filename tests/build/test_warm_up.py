@@ -29,6 +29,7 @@ for name, module in sorted(sys.modules.items()):
 # What the job's own process compiles meanwhile, for its plan, what only scans need, and what is off by default
 _ELSEWHERE = (
     "soundspaces_sim.transport.arrivals.plane_edges ",
+    "soundspaces_sim.transport.arrivals.specular_planes _turn",
     "soundspaces_sim.transport.paths.decay ",
     "soundspaces_sim.transport.radiance_transfer.derivative ",
     "soundspaces_sim.transport.reflection_counts.",

@@ -71,10 +71,11 @@ def _levels(name: str, sources: int, places: int) -> _Levels:
             for a in arrivals:
                 pressure += np.sqrt(a.energy)[:, None] * np.exp(-2j * np.pi * _FREQUENCY * a.delay)
             free = 4.0 * np.pi * ((cell - source) ** 2).sum() * STEP**2
-            energy = np.sum([a.energy for a in arrivals], axis=0)
-            rays = np.sum([a.energy for a in without[0, i].arrivals if a.delay < UNTIL], axis=0)
-            row = 10.0 ** (exact[i] / 10.0), (np.abs(pressure) ** 2).mean(axis=1) * free, energy * free
-            found.append((*row, rays * free + np.zeros(len(energy))))
+            energy = sum((a.energy for a in arrivals), np.zeros(len(_BANDS) - 1))
+            alone = (a.energy for a in without[0, i].arrivals if a.delay < UNTIL)
+            rays = sum(alone, np.zeros(len(_BANDS) - 1))
+            square = (np.abs(pressure) ** 2).mean(axis=1)
+            found.append((10.0 ** (exact[i] / 10.0), square * free, energy * free, rays * free))
     return _Levels(*np.array(found).swapaxes(0, 1))
 
 
@@ -102,13 +103,14 @@ def test_levels_about_bodies(name: str) -> None:
 
 @ci_slow
 def test_energy_about_bodies() -> None:
-    """The mean square of the pressure within a wave of a body is more than what rays have without edges, as it is
-    twice a free field's at a wall: by the wave equation as by edges. Four bodies, six sources with sixty places each,
-    in the mean."""
+    """The mean square of the pressure within a wave of a body is more than rays have: at a wall it is four times a
+    free field's, where rays add direct and reflected energy to twice. Six sources with sixty places each about every
+    body: what edges add to the sum of energies is what finite differences add, for each body and for all four."""
     found = [_levels(name, 6, 60) for name in _BODIES]
     exact, energy, rays = (
-        np.mean([column.mean(axis=0) for column in (getattr(f, name) for f in found)], axis=0)
-        for name in ("exact", "energy", "rays")
+        np.array([column.mean(axis=0) for column in columns])
+        for columns in zip(*((f.exact, f.energy, f.rays) for f in found), strict=True)
     )
-    assert exact[0] > 1.08 * rays[0], exact / rays
-    np.testing.assert_allclose(energy, exact, rtol=0.05)
+    assert exact.mean(axis=0)[0] > 1.08 * rays.mean(axis=0)[0]  # there is something to add
+    np.testing.assert_allclose(energy, exact, rtol=0.12)
+    np.testing.assert_allclose(energy.mean(axis=0), exact.mean(axis=0), rtol=0.05)

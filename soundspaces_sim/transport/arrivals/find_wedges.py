@@ -60,15 +60,16 @@ def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
     """The wedges of a scene, the longest first, and a line that says what was found by what."""
     vertices = scene.vertices - scene.center
     points, welded = welded_faces(vertices, scene.faces, _WELD)
-    points[welded] = vertices[
-        scene.faces
-    ]  # as they are: rounded ends turn short sides out of their line
+    # As they are: rounded ends turn short sides out of their line.
+    points[welded] = vertices[scene.faces]
     side = side_numbers(welded)
     pieces = _pieces(points, welded, side)
+    del points, welded  # of a scan they are large, as `side` is
     lines = _lines(pieces)
     exact = [candidate for line in lines for candidate in _wedges_of_line(pieces, line)]
     ends = np.array([_ends_of_line(pieces, line) for line in lines]).reshape(-1, 2, 3)
     fitted, planes = plane_edges(vertices, scene.faces, side, MIN_LENGTH)
+    del side
     wedges = _tried(scene, exact)
     count, sides = len(wedges.n), float(wedges.length.sum())
     if fitted := [candidate for candidate in fitted if not _seen(candidate, ends)]:

@@ -106,19 +106,19 @@ def group_planes(
             free[seed] = False
             continue
         free[members] = False
-        for side in _sides(normal, centroid, corners, area, members, turned[members]):
-            n, d = _fit(normal, centroid, area, side)
-            if area[side].sum() < grain.area:
+        for own in _sides(normal, centroid, corners, area, members, turned[members]):
+            n, d = _fit(normal, centroid, area, own)
+            if area[own].sum() < grain.area:
                 continue
-            if _curvature(normal, centroid, area, side, n) > _MAX_CURVATURE:
+            if _curvature(normal, centroid, area, own, n) > _MAX_CURVATURE:
                 continue
-            if is_rough(corners[side] @ n):
-                noise = min(_NOISE * _rms(corners, side, n, d), grain.offset)
+            if is_rough(corners[own] @ n):
+                noise = min(_NOISE * _rms(corners, own, n, d), grain.offset)
                 more = _near(normal, corners, free, blocks, n, d, _MAX_TURN_COS, noise, room)
                 free[more] = False
-                side = np.concatenate([side, more])
-            of_face[side] = len(found)
-            found.append((n, d, _margin(corners, side, n, d)))
+                own = np.concatenate([own, more])
+            of_face[own] = len(found)
+            found.append((n, d, _margin(corners, own, n, d)))
     normals = np.array([n for n, _, _ in found]).reshape(-1, 3)
     offsets = np.array([d for _, d, _ in found], float)
     total = np.bincount(of_face[of_face >= 0], area[of_face >= 0], len(found))
