@@ -1,4 +1,9 @@
-"""The calls of the Python bindings' own test: six sources around a first-order listener in a box, which way each is."""
+"""The calls of the Python bindings' own test: six sources around a first-order listener in a box, which way each is.
+
+Its box stands about the origin, so that the listener is exactly in a corner and three sources are outside. In a corner
+direct and reflected sound come at once from opposite ways, and outside nobody hears what is inside; here the box
+stands about the listener.
+"""
 
 import numpy as np
 import trimesh
@@ -9,7 +14,7 @@ mesh = trimesh.creation.box(extents=extent)
 mesh.invert()
 ctx = Context(Config())
 ctx.add_object()
-ctx.add_mesh_vertices(mesh.vertices.flatten().tolist())
+ctx.add_mesh_vertices((mesh.vertices + extent / 2).flatten().tolist())
 ctx.add_mesh_indices(mesh.faces.flatten().tolist(), 3, "default")
 ctx.finalize_object_mesh(0)
 ctx.add_listener(ChannelLayout(ChannelLayoutType.Ambisonics, 4))
