@@ -11,7 +11,7 @@ short episodes and in long ones, when they are new, and when they are repeated a
 Amortised: Rooms: compiling alone. Steps: responses of pairs of points that 400 episodes before have met, which are
 kept; in repeated episodes all that they have met.
 
-Takes: Six minutes. Arguments: rooms (16), rounds of repeated episodes (3). Needs the neighbours rooms,
+Takes: Three minutes. Arguments: rooms (16), rounds of repeated episodes (3). Needs the neighbours rooms,
 buildings and continuous.
 """
 
