@@ -54,8 +54,8 @@ _FIRST = ("setuptools<66", "wheel")
 _GYM = ("--no-build-isolation", "gym==0.23.0")
 _REST = (
     "attrs", "gitpython", "hydra-core", "ifcfg", "imageio", "imageio-ffmpeg", "librosa", "matplotlib", "moviepy==1.0.3",
-    "numpy-quaternion", "omegaconf", "opencv-python-headless==4.10.0.84", "pillow", "scikit-image", "tensorboard",
-    "torchsummary", "tqdm", "yacs",
+    "numpy-quaternion", "omegaconf", "opencv-python-headless==4.10.0.84", "pillow", "psutil", "scikit-image",
+    "tensorboard", "torchsummary", "tqdm", "yacs",
 )  # fmt: skip
 #: The networks of two checkouts are subclasses of torchvision's, of which there is no CPU build beside PyTorch's; no
 #: network is made.
