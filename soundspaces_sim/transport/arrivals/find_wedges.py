@@ -28,6 +28,7 @@ from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import side_numbers, welded_faces
 from soundspaces_sim.transport.arrivals.plane_edges import Candidate, plane_edges
+from soundspaces_sim.transport.arrivals.specular_planes import OF_THREAD
 from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point, no_wedges
 
 _log = logging.getLogger(__name__)
@@ -45,7 +46,6 @@ _ROUGH = 0.005  # m: an edge that strays more has places closed by noise
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _MOST_STEPS = 20_000_000  # along all edges
 _AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
-_OF_THREAD = 4096  # faces for which it is worth to start a thread
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
 
@@ -155,7 +155,7 @@ def _pieces(points: np.ndarray, faces: np.ndarray, side: np.ndarray) -> _Pieces:
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     faces, side = faces[whole], side[whole].T.ravel()
     inward, width = np.empty((3 * len(faces), 3)), np.empty(3 * len(faces))
-    over_rows(_find_inward, len(faces), points, faces, inward, width, least=_OF_THREAD)
+    over_rows(_find_inward, len(faces), points, faces, inward, width, least=OF_THREAD)
     count = np.bincount(side)
     total = np.stack([np.bincount(side, w, len(count)) for w in inward.T], axis=1)
     # Two unit vectors, x away from opposite, have a sum of length 2 sin(x / 2).

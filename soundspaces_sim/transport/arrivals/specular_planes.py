@@ -41,7 +41,7 @@ _GROW, _GROWN = 8, 1.01  # times at most, while a plane grows by more than this
 _FLAT_COS = float(np.cos(np.deg2rad(0.3)))  # of triangles side by side: of scans most turn by more
 _ROUNDS = 3  # of smoothing
 _SIMILAR = 0.35  # rad: a neighbour that turns by more counts less than half
-_OF_THREAD = 4096  # faces for which it is worth to start a thread
+OF_THREAD = 4096  # faces for which it is worth to start a thread
 _BLOCK = 32  # faces that are tried together
 _ROUNDING = 1e-6  # m, more than it is
 _SLAB = 0.5  # of a group's rms stray: two sides that stray less are those of a slab
@@ -146,7 +146,7 @@ def _smoothed(cross: np.ndarray, side: np.ndarray) -> np.ndarray:
         return cross
     for _ in range(_ROUNDS):
         turned = np.empty_like(normal)
-        over_rows(_turn, len(normal), beside, size, normal, turned, least=_OF_THREAD)
+        over_rows(_turn, len(normal), beside, size, normal, turned, least=OF_THREAD)
         normal = turned
     return size[:, None] * normal
 
@@ -163,6 +163,7 @@ def _beside(side: np.ndarray) -> np.ndarray:
 def _turn(
     first: int, last: int, beside: np.ndarray, size: np.ndarray, normal: np.ndarray, out: np.ndarray
 ) -> None:
+    """Fill `out` with normals (F, 3) turned to the mean, by `size` (F,), of each and those `beside` it."""
     for f in range(first, last):
         own = row(normal, f)
         total = scale(size[f], own)
