@@ -50,7 +50,7 @@ CLIENTS: Mapping[str, Client] = {
     ),
     "measured_room": Client("studies that compare with a measured room"),
     "probe": Client("checks of a build before a large run"),
-    "foa_directions": Client("beasteers/rlr-audio-propagation, tests/test_foa.py", _AS_IS),
+    "foa_directions": Client("beasteers/rlr-audio-propagation, tests/test_foa.py"),
     "source_grid": Client("beasteers/rlr-audio-propagation, scripts/run_grid.py"),
     "capsules": Client("makers of sets for localisation, with a repaired mesh of Gibson"),
 }
