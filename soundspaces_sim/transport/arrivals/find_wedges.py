@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import in_order, unique_rows
-from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, length, put, row, scale, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, add, divide, dot, length, put, row, scale, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import side_numbers, welded_faces
@@ -321,14 +321,15 @@ def _try_open(
     is_open: np.ndarray,
 ) -> None:
     """Flag (m,) places `at` (m, 3) on the edges of `wedge` (m,) where one gets from either face to the bisector,
-    `_STEP` away."""
+    `_STEP` away; and to the faces from where rays clear a fitted edge, lest it be the back of a thin body."""
     for i in range(first, last):
         e = wedge[i]
         half = 0.5 * np.pi * wedges.n[e]
+        clear, fitted = add(row(at, i), row(wedges.offset, e)), length(row(wedges.offset, e)) > _ROUGH
         is_open[i] = True
         for phi in (np.pi / 6.0, 2.0 * half - np.pi / 6.0):
             p, q = _point_about(wedges, e, row(at, i), phi), _point_about(wedges, e, row(at, i), half)
-            if not unoccluded(geometry, p, q):
+            if not unoccluded(geometry, p, q) or (fitted and not unoccluded(geometry, clear, p)):
                 is_open[i] = False
 
 
