@@ -68,12 +68,13 @@ def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
     lines = _lines(pieces)
     exact = [candidate for line in lines for candidate in _wedges_of_line(pieces, line)]
     ends = np.array([_ends_of_line(pieces, line) for line in lines]).reshape(-1, 2, 3)
-    fitted, planes = plane_edges(vertices, scene.faces, side, MIN_LENGTH)
+    *fitted, planes = plane_edges(vertices, scene.faces, side, MIN_LENGTH)
     del side
     wedges = _tried(scene, exact)
     count, sides = len(wedges.n), float(wedges.length.sum())
-    if fitted := [candidate for candidate in fitted if not _seen(candidate, ends)]:
-        wedges = _joined(wedges, _without_twins(_tried(scene, fitted)))
+    creases, borders = ([c for c in candidates if not _seen(c, ends)] for candidates in fitted)
+    found = (_longest_first(_tried(scene, candidates)) for candidates in (creases, borders))
+    wedges = _joined(wedges, _without_twins(_joined(*found)))
     over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
     text = (
         f"{len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides of "
@@ -95,6 +96,11 @@ def _tried(scene: Scene, candidates: list[Candidate]) -> Wedges:
     offset = (scene.geometry.epsilon + margin + 10.0**-_WELD)[:, None] * bisector
     stands = np.zeros((len(n), 2), np.bool_)
     return _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands))
+
+
+def _longest_first(wedges: Wedges) -> Wedges:
+    order = np.argsort(-wedges.length, kind="stable")
+    return Wedges(*(column[order] for column in wedges))
 
 
 def _joined(one: Wedges, other: Wedges) -> Wedges:
