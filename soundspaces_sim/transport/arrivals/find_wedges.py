@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import in_order, unique_rows
-from soundspaces_sim.core.numerics.vec3 import Vec3, add, divide, dot, length, put, row, scale, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, length, put, row, scale, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import side_numbers, welded_faces
@@ -43,6 +43,7 @@ _PLACES = 16  # along a fitted edge, at which it is tried whether it is known
 _TWIN = 0.03  # m between edges that are one
 _ALIKE = 0.98  # cosine between their directions
 _ROUGH = 0.005  # m: an edge that strays more has places closed by noise
+_FITS = 0.7  # of a fitted edge's offset: a face strays less from its plane
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _MOST_STEPS = 20_000_000  # along all edges
 _AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
@@ -327,16 +328,20 @@ def _try_open(
     is_open: np.ndarray,
 ) -> None:
     """Flag (m,) places `at` (m, 3) on the edges of `wedge` (m,) where one gets from either face to the bisector,
-    `_STEP` away; and to the faces from where rays clear a fitted edge, lest it be the back of a thin body."""
+    `_STEP` away. Nothing may be before a fitted edge's first face: it would be the back of a thin body."""
     for i in range(first, last):
         e = wedge[i]
         half = 0.5 * np.pi * wedges.n[e]
-        clear, fitted = add(row(at, i), row(wedges.offset, e)), length(row(wedges.offset, e)) > _ROUGH
+        off, normal = row(wedges.offset, e), row(wedges.normal, e)
+        q = _point_about(wedges, e, row(at, i), half)
         is_open[i] = True
         for phi in (np.pi / 6.0, 2.0 * half - np.pi / 6.0):
-            p, q = _point_about(wedges, e, row(at, i), phi), _point_about(wedges, e, row(at, i), half)
-            if not unoccluded(geometry, p, q) or (fitted and not unoccluded(geometry, clear, p)):
+            if not unoccluded(geometry, _point_about(wedges, e, row(at, i), phi), q):
                 is_open[i] = False
+        if is_open[i] and length(off) > _ROUGH:
+            p = _point_about(wedges, e, row(at, i), np.pi / 6.0)
+            near = dot(off, normal) + 0.5 * _STEP - _FITS * length(off)
+            is_open[i] = near <= 0.0 or unoccluded(geometry, p, subtract(p, scale(near, normal)))
 
 
 @kernel

@@ -128,52 +128,25 @@ def _scanned(corners: np.ndarray, planes: SpecularPlanes) -> bool:
 
 
 def _sheets(vertices: np.ndarray, faces: np.ndarray, planes: SpecularPlanes) -> list[_Sheet]:
-    """The connected parts of planes, each in a plane of its own: what is far apart is seldom in one to a centimetre."""
     own, start = faces_of_planes(planes.of_face, len(planes.offset))
     out = []
     for p, (low, high) in enumerate(pairwise(start)):
         corners = vertices[faces[own[low:high]]]
-        for members in _connected(corners, planes.normal[p]):
-            if areas(corners[members]).sum() >= FACES.area:
-                out.append(_sheet(corners[members], planes.normal[p]))
+        n, d = planes.normal[p], planes.offset[p]
+        basis = in_plane(n).T
+        flat = corners @ basis
+        border = 2.0 * _GAP
+        corner = flat.min(axis=(0, 1)) - border
+        shape = np.ceil((flat.max(axis=(0, 1)) + border - corner) / _CELL).astype(int)
+        covered = np.zeros(shape, np.bool_)
+        draw((flat - corner) / _CELL, 0.5, covered)
+        stray = corners.reshape(-1, 3) @ n - d
+        margin = float(np.sqrt((stray * stray).mean()))
+        rough = is_rough(stray.reshape(-1, 3))
+        flat_corners = corners.reshape(-1, 3)
+        box = np.stack([flat_corners.min(axis=0), flat_corners.max(axis=0)])
+        out.append(_Sheet(n, float(d), margin, rough, basis, corner, _closed(covered), box))
     return out
-
-
-def _connected(corners: np.ndarray, normal: np.ndarray) -> list[np.ndarray]:
-    """Rows of triangles (n, 3, 3) of a plane less than `_GAP` m from each other."""
-    from scipy import ndimage  # readers of datasets do without it
-
-    flat = corners @ in_plane(normal).T
-    first = flat.min(axis=(0, 1)) - 2.0 * _GAP
-    covered = np.zeros(np.ceil((flat.max(axis=(0, 1)) - first) / _GAP).astype(int) + 2, np.bool_)
-    draw((flat - first) / _GAP, 0.5, covered)
-    part_of, _ = ndimage.label(covered, np.ones((3, 3)))
-    i, j = ((flat.mean(axis=1) - first) / _GAP).astype(np.int64).T
-    order = np.argsort(part_of[i, j], kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(part_of[i, j][order])) + 1)
-
-
-def _sheet(corners: np.ndarray, towards: np.ndarray) -> _Sheet:
-    """Of triangles (n, 3, 3), in the plane from which their corners stray least; its normal `towards` this one."""
-    weight = areas(corners) / areas(corners).sum()
-    middle = weight @ corners.mean(axis=1)
-    apart = corners - middle
-    n = np.linalg.eigh(np.einsum("f,fki,fkj->ij", weight, apart, apart))[1][:, 0]
-    n *= np.sign(n @ towards)
-    d = float(n @ middle)
-    basis = in_plane(n).T
-    flat = corners @ basis
-    border = 2.0 * _GAP
-    corner = flat.min(axis=(0, 1)) - border
-    shape = np.ceil((flat.max(axis=(0, 1)) + border - corner) / _CELL).astype(int)
-    covered = np.zeros(shape, np.bool_)
-    draw((flat - corner) / _CELL, 0.5, covered)
-    stray = corners.reshape(-1, 3) @ n - d
-    margin = float(np.sqrt((stray * stray).mean()))
-    rough = is_rough(stray.reshape(-1, 3))
-    flat_corners = corners.reshape(-1, 3)
-    box = np.stack([flat_corners.min(axis=0), flat_corners.max(axis=0)])
-    return _Sheet(n, d, margin, rough, basis, corner, _closed(covered), box)
 
 
 def _closed(covered: np.ndarray) -> np.ndarray:

@@ -35,6 +35,9 @@ _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
 _MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
 _MAX_TURN_COS = float(np.cos(np.deg2rad(45.0)))  # of triangles that noise turns
 _NOISE = 3.0  # times a rough plane's rms stray: what is nearer is part of it
+_LOOSE = 2.0  # times a grain's offset: a connected part may be so far from the plane by which it is found
+_APART = 0.1  # m, between parts that are not connected
+_SETTLES = 3  # times that a part's plane is fitted anew
 _FLAT = 0.0005  # m
 _SEED = 0.25  # of the least area, of what a plane grows from
 _GROW, _GROWN = 8, 1.01  # times at most, while a plane grows by more than this
@@ -105,20 +108,31 @@ def group_planes(
         if len(members) == 0 or area[members].sum() < grain.area:
             free[seed] = False
             continue
-        free[members] = False
-        for own in _sides(normal, centroid, corners, area, members, turned[members]):
-            n, d = _fit(normal, centroid, area, own)
-            if area[own].sum() < grain.area:
-                continue
-            if _curvature(normal, centroid, area, own, n) > _MAX_CURVATURE:
-                continue
-            if is_rough(corners[own] @ n):
-                noise = min(_NOISE * _rms(corners, own, n, d), grain.offset)
-                more = _near(normal, corners, free, blocks, n, d, _MAX_TURN_COS, noise, room)
-                free[more] = False
-                own = np.concatenate([own, more])
-            of_face[own] = len(found)
-            found.append((n, d, _margin(corners, own, n, d)))
+        parts = [(members, n, d)]
+        if side is None:
+            free[members] = False
+        else:
+            loose = _near(
+                normal, corners, free, blocks, n, d, _MAX_ANGLE_COS, _LOOSE * grain.offset, room
+            )
+            parts = _parts(corners, loose, n, d, grain)
+        for members, n, d in parts:
+            free[members] = False
+            for own in _sides(normal, centroid, corners, area, members, turned[members]):
+                if area[own].sum() < grain.area:
+                    continue
+                n, d = _fit(normal, centroid, area, own) if side is None else _flattest(corners[own], n)
+                if _curvature(normal, centroid, area, own, n) > _MAX_CURVATURE:
+                    continue
+                if is_rough(corners[own] @ n):
+                    noise = min(_NOISE * _rms(corners, own, n, d), grain.offset)
+                    more = _near(normal, corners, free, blocks, n, d, _MAX_TURN_COS, noise, room)
+                    if side is not None:
+                        more = more[_within(centroid[more], corners[own], _APART)]
+                    free[more] = False
+                    own = np.concatenate([own, more])
+                of_face[own] = len(found)
+                found.append((n, d, _margin(corners, own, n, d)))
     normals = np.array([n for n, _, _ in found]).reshape(-1, 3)
     offsets = np.array([d for _, d, _ in found], float)
     total = np.bincount(of_face[of_face >= 0], area[of_face >= 0], len(found))
@@ -174,6 +188,62 @@ def _turn(
                 weight = math.copysign(math.exp((abs(cos) - 1.0) / _SIMILAR**2), cos)
                 total = add(total, scale(weight * size[g], row(normal, g)))
         put(out, f, divide(total, max(length(total), 1e-300)))
+
+
+def _parts(
+    corners: np.ndarray, loose: np.ndarray, n: np.ndarray, d: float, grain: Grain
+) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """The connected parts of faces near a plane, each with a plane of its own: what is far apart is seldom in one
+    plane to a centimetre."""
+    out = []
+    for rows in _connected(corners[loose], n):
+        own, n_own, d_own = loose[rows], n, d
+        for _ in range(_SETTLES):
+            height = corners[own] @ n_own
+            middle = height.mean(axis=1)
+            near = np.abs(middle - d_own) < grain.offset
+            if not near.any():
+                break
+            d_own = float(np.median(middle[near]))
+            kept = own[(np.abs(height - d_own) < grain.offset).all(axis=1)]
+            if areas(corners[kept]).sum() < grain.area:
+                break
+            n_own, d_own = _flattest(corners[kept], n_own)
+        else:
+            out.append((kept, n_own, d_own))
+    return out
+
+
+def _connected(corners: np.ndarray, normal: np.ndarray) -> list[np.ndarray]:
+    """Rows of triangles (n, 3, 3) of a plane that are less than `_APART` m from each other, in it."""
+    from scipy import ndimage  # readers of datasets do without it
+
+    flat = corners @ in_plane(normal).T
+    first = flat.min(axis=(0, 1)) - 2.0 * _APART
+    covered = np.zeros(np.ceil((flat.max(axis=(0, 1)) - first) / _APART).astype(int) + 2, np.bool_)
+    draw((flat - first) / _APART, 0.5, covered)
+    i, j = ((flat.mean(axis=1) - first) / _APART).astype(np.int64).T
+    part_of = ndimage.label(covered, np.ones((3, 3)))[0][i, j]
+    order = np.argsort(part_of, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(part_of[order])) + 1)
+
+
+def _within(points: np.ndarray, corners: np.ndarray, beyond: float) -> np.ndarray:
+    """(n,) whether points (n, 3) are in the box about triangles, or so little beside it, m."""
+    low, high = corners.min(axis=(0, 1)) - beyond, corners.max(axis=(0, 1)) + beyond
+    return np.asarray(((points > low) & (points < high)).all(axis=1))
+
+
+def _flattest(corners: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, float]:
+    """The plane from which the corners of triangles (n, 3, 3) stray least, by area; its normal towards this one."""
+    weight = areas(corners)
+    weight /= weight.sum()
+    middle = weight @ corners.mean(axis=1)
+    apart = (corners - middle) * np.sqrt(weight)[:, None, None]
+    apart = apart.reshape(-1, 3)
+    n = np.linalg.eigh(apart.T @ apart)[1][:, 0]
+    n *= math.copysign(1.0, n @ towards)
+    return n, float(n @ middle)
 
 
 class _Blocks(NamedTuple):
