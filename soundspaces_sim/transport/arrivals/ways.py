@@ -548,6 +548,13 @@ def _beyond(phi: float, towards: float) -> float:
 
 
 @part(forceinline=True)
+def _is_passed(n: int, count: int, scratch: WayScratch) -> bool:
+    """Whether the way only goes by an edge, well in its light, as where something stands out of a rough wall."""
+    light = math.pi - abs(scratch.angle[n, 1] - scratch.angle[n, 0])
+    return 0 < n < count - 1 and light > _ALONG
+
+
+@part(forceinline=True)
 def _is_needed(n: int, count: int, scratch: WayScratch) -> bool:
     """Whether the way is not free without an edge: in its light sound passes it, and is diffracted beside that."""
     if n == 0:
@@ -565,6 +572,8 @@ def _multiply(
     double: DoubleWedgeScratch,
 ) -> None:
     """Multiply the wave by a factor."""
+    if scratch.unit[n] == 1 and _is_passed(n, count, scratch):
+        return
     (before, after), angle, e = _legs_of(count, n, scratch), scratch.angle, scratch.edge[n]
     half = 0.5 if scratch.common[n] else 1.0
     if scratch.unit[n] == 2:
@@ -618,7 +627,7 @@ def _narrowest(
             math.inf if wedges.stands[e, 1] and max(ends) < wedges.length[e] else both[1],
         )
         nearest = min(by[0] * side[0], by[1] * side[1])
-        if nearest < least:
+        if nearest < least and not _is_passed(n, count, scratch):
             least, found, sides = nearest, by, side
     return found, sides
 
