@@ -41,6 +41,7 @@ _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner p
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
 _PLACES = 16  # along a fitted edge, at which it is tried whether it is known
 _TWIN = 0.03  # m between edges that are one
+_THIN = 0.01  # m: sides of a plate that are nearer are one that is tried both ways
 _ALIKE = 0.98  # cosine between their directions
 _ROUGH = 0.005  # m: an edge that strays more has places closed by noise
 _FITS = 0.7  # of a fitted edge's offset: a face strays less from its plane
@@ -138,14 +139,28 @@ def _beside(
 
 
 def _without_twins(wedges: Wedges) -> Wedges:
-    """Of fitted wedges in one place the first."""
+    """Of fitted wedges in one place the first. Where two are those of either side of a thin plate, it is the plate's,
+    half-way between them."""
     span = wedges.length[:, None] * wedges.along
+    n, start, offset = wedges.n.copy(), wedges.start.copy(), wedges.offset.copy()
     kept: list[int] = []
-    for e in range(len(wedges.n)):
+    for e in range(len(n)):
         z = (np.arange(_PLACES) + 0.5) / _PLACES
         at = wedges.start[e] + z[:, None] * span[e]
         if _beside(at, wedges.along[e], wedges.start[kept], span[kept], _TWIN).mean() <= 0.5:
             kept.append(e)
+            continue
+        for k in kept:
+            normal, face = wedges.normal[k], wedges.face[k]
+            thick = (wedges.start[k] - wedges.start[e]) @ normal
+            opposite = min(normal @ -wedges.normal[e], face @ wedges.face[e]) > _ALIKE
+            if not opposite or thick < _THIN or n[k] == 2.0:
+                continue
+            if _beside(at, wedges.along[e], wedges.start[[k]], span[[k]], _TWIN).mean() > 0.5:
+                n[k] = 2.0
+                start[k] -= 0.5 * thick * normal
+                offset[k] = -np.linalg.norm(offset[k]) * face
+    wedges = wedges._replace(n=n, start=start, offset=offset)
     return Wedges(*(column[kept] for column in wedges))
 
 
