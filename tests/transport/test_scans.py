@@ -9,7 +9,9 @@ import pytest
 
 import soundspaces_sim as ss
 from soundspaces_sim.scene.labelled import LabelledMesh
+from soundspaces_sim.scene.triangles import side_numbers, welded_faces
 from soundspaces_sim.transport.arrivals.find_wedges import find_wedges
+from soundspaces_sim.transport.arrivals.specular_planes import FACES, group_planes
 from soundspaces_sim.transport.arrivals.wedges import Wedges
 from tests.marks import ci_slow
 from tests.rooms import box, edges_alone, table, two_rooms
@@ -64,6 +66,42 @@ def test_a_scanned_door_in_a_sheet_has_borders() -> None:
         > 0.9
     )
     np.testing.assert_array_equal(found.n[inside], 2.0)
+
+
+@pytest.mark.parametrize(("thick", "index", "number"), [(0.04, 1.5, 2), (0.02, 2.0, 1)])
+def test_a_scanned_leaf_is_open_away_from_itself(thick: float, index: float, number: int) -> None:
+    """A door of 4 cm has two edges on either side; one of 2 cm is a thin plate, with one. All are as long as it is."""
+    low, high = np.array([2.0, 2.0, 0.3]), np.array([2.0 + thick, 2.9, 2.3])
+    scan = scan_of(_in_box(*_cuboid(low.tolist(), high.tolist())), 60_000, 0.005)
+    found = find_wedges(scan)
+    middle = found.start + 0.5 * found.length[:, None] * found.along + scan.center
+    upright = np.abs(found.along[:, 2]) > 0.99
+    for y in (low[1], high[1]):
+        own = upright & (np.abs(middle[:, :2] - [2.0 + 0.5 * thick, y]) < 0.03).all(axis=1)
+        assert own.sum() == number
+        np.testing.assert_allclose(found.n[own], index, atol=0.05)
+        np.testing.assert_allclose(found.length[own], 2.0, atol=0.15)
+        away = np.sign(middle[own, :2] - 0.5 * (low + high)[:2])
+        assert (found.offset[own, 1] * away[:, 1] > 0.0).all()
+        assert number == 1 or (found.offset[own, 0] * away[:, 0] > 0.0).all()
+
+
+def test_far_parts_of_a_plane_are_fitted_apart() -> None:
+    """Two boards of a wall, 2 m apart, of which one stands out by 12 mm, on a scan with 5 mm of noise."""
+    boards = [_cuboid([x, 1.0, 1.0], [x + 1.0, y, 2.0]) for x, y in ((1.0, 1.3), (4.0, 1.312))]
+    vertices = np.concatenate([v for v, _ in boards])
+    faces = np.concatenate([boards[0][1], boards[1][1] + len(boards[0][0])])
+    scan = scan_of(_in_box(vertices, faces), 60_000, 0.005)
+    relative = scan.vertices - scan.center
+    side = side_numbers(welded_faces(relative, scan.faces, 5)[1])
+    planes = group_planes(relative, scan.faces, FACES, side)
+    middle = scan.corners.mean(axis=1)
+    for x, y in ((1.5, 1.3), (4.5, 1.312)):
+        on = (np.abs(middle - [x, y, 1.5]) < [0.4, 0.005, 0.4]).all(axis=1)
+        plane = np.bincount(planes.of_face[on] + 1).argmax() - 1
+        at = np.array([x, y, 1.5]) - scan.center
+        assert abs(planes.normal[plane] @ at - planes.offset[plane]) < 0.001
+        assert abs(planes.normal[plane, 1]) > np.cos(np.deg2rad(0.3))
 
 
 @pytest.mark.usefixtures("no_t30")

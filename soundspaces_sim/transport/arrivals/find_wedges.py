@@ -139,8 +139,8 @@ def _beside(
 
 
 def _without_twins(wedges: Wedges) -> Wedges:
-    """Of fitted wedges in one place the first. Where two are those of either side of a thin plate, it is the plate's,
-    half-way between them."""
+    """Of fitted wedges in one place the first. Two of either side of a thin plate are one of the plate, half-way
+    between them."""
     span = wedges.length[:, None] * wedges.along
     n, start, offset = wedges.n.copy(), wedges.start.copy(), wedges.offset.copy()
     kept: list[int] = []
@@ -343,7 +343,7 @@ def _try_open(
     is_open: np.ndarray,
 ) -> None:
     """Flag (m,) places `at` (m, 3) on the edges of `wedge` (m,) where one gets from either face to the bisector,
-    `_STEP` away. Nothing may be before a fitted edge's first face: it would be the back of a thin body."""
+    `_STEP` away. Nothing may be before a fitted edge's first face, or it is the back of a thin body."""
     for i in range(first, last):
         e = wedge[i]
         half = 0.5 * np.pi * wedges.n[e]

@@ -97,8 +97,8 @@ class _Contact(NamedTuple):
 def plane_edges(
     vertices: np.ndarray, faces: np.ndarray, side: np.ndarray, least: float
 ) -> tuple[list[Candidate], list[Candidate], int]:
-    """(Creases at least so many m long; borders, which are tried as those of a sheet and as those of either side of a
-    body; number of planes). `side` (F, 3): `side_numbers` of the faces."""
+    """(Creases at least so many m long; borders, tried as those of a sheet and as those of either side of a body;
+    number of planes). `side` (F, 3): `side_numbers` of the faces."""
     planes = group_planes(vertices, faces, FACES, side)
     if not _scanned(vertices[faces], planes):
         return [], [], len(planes.offset)

@@ -35,7 +35,9 @@ _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
 _MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
 _MAX_TURN_COS = float(np.cos(np.deg2rad(45.0)))  # of triangles that noise turns
 _NOISE = 3.0  # times a rough plane's rms stray: what is nearer is part of it
-_LOOSE = 2.0  # times a grain's offset: a connected part may be so far from the plane by which it is found
+_LOOSE = (
+    2.0  # times a grain's offset: a connected part may be so far from the plane by which it is found
+)
 _APART = 0.1  # m, between parts that are not connected
 _SETTLES = 3  # times that a part's plane is fitted anew
 _FLAT = 0.0005  # m
@@ -75,9 +77,11 @@ def group_planes(
     vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS, side: np.ndarray | None = None
 ) -> SpecularPlanes:
     """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes. `side`: (F, 3) `side_numbers` of the triangles,
-    if noisy normals are to be smoothed first: then planes are told apart that are small, or near each other."""
+    if planes are to be told apart that are small, or near each other: then noisy normals are smoothed first, and
+    what is not connected has planes of its own."""
     corners = corners_of(vertices, faces)
     cross = cross_products(corners)
+    apart = side is not None
     if side is not None:
         cross = _smoothed(cross, side)
     area = 0.5 * np.linalg.norm(cross, axis=1)
@@ -108,27 +112,24 @@ def group_planes(
         if len(members) == 0 or area[members].sum() < grain.area:
             free[seed] = False
             continue
-        parts = [(members, n, d)]
-        if side is None:
-            free[members] = False
-        else:
-            loose = _near(
-                normal, corners, free, blocks, n, d, _MAX_ANGLE_COS, _LOOSE * grain.offset, room
-            )
-            parts = _parts(corners, loose, n, d, grain)
-        for members, n, d in parts:
-            free[members] = False
-            for own in _sides(normal, centroid, corners, area, members, turned[members]):
+        parts = [members]
+        if apart:
+            loose = _LOOSE * grain.offset
+            near = _near(normal, corners, free, blocks, n, d, _MAX_ANGLE_COS, loose, room)
+            parts = _parts(corners, near, n, d, grain)
+        for part_of in parts:
+            free[part_of] = False
+            for own in _sides(normal, centroid, corners, area, part_of, turned[part_of]):
                 if area[own].sum() < grain.area:
                     continue
-                n, d = _fit(normal, centroid, area, own) if side is None else _flattest(corners[own], n)
+                n, d = _flattest(corners[own], n) if apart else _fit(normal, centroid, area, own)
                 if _curvature(normal, centroid, area, own, n) > _MAX_CURVATURE:
                     continue
                 if is_rough(corners[own] @ n):
                     noise = min(_NOISE * _rms(corners, own, n, d), grain.offset)
                     more = _near(normal, corners, free, blocks, n, d, _MAX_TURN_COS, noise, room)
-                    if side is not None:
-                        more = more[_within(centroid[more], corners[own], _APART)]
+                    if apart:
+                        more = more[_beside_box(centroid[more], corners[own], _APART)]
                     free[more] = False
                     own = np.concatenate([own, more])
                 of_face[own] = len(found)
@@ -191,26 +192,24 @@ def _turn(
 
 
 def _parts(
-    corners: np.ndarray, loose: np.ndarray, n: np.ndarray, d: float, grain: Grain
-) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """The connected parts of faces near a plane, each with a plane of its own: what is far apart is seldom in one
-    plane to a centimetre."""
+    corners: np.ndarray, faces: np.ndarray, n: np.ndarray, d: float, grain: Grain
+) -> list[np.ndarray]:
+    """The connected parts of faces near a plane, as far as each has a plane of its own: what is far apart is seldom
+    in one to a centimetre."""
     out = []
-    for rows in _connected(corners[loose], n):
-        own, n_own, d_own = loose[rows], n, d
+    for rows in _connected(corners[faces], n):
+        own, towards, offset = faces[rows], n, d
         for _ in range(_SETTLES):
-            height = corners[own] @ n_own
+            height = corners[own] @ towards
             middle = height.mean(axis=1)
-            near = np.abs(middle - d_own) < grain.offset
-            if not near.any():
-                break
-            d_own = float(np.median(middle[near]))
-            kept = own[(np.abs(height - d_own) < grain.offset).all(axis=1)]
+            near = np.abs(middle - offset) < grain.offset
+            offset = float(np.median(middle[near])) if near.any() else math.inf
+            kept = own[(np.abs(height - offset) < grain.offset).all(axis=1)]
             if areas(corners[kept]).sum() < grain.area:
                 break
-            n_own, d_own = _flattest(corners[kept], n_own)
+            towards, offset = _flattest(corners[kept], towards)
         else:
-            out.append((kept, n_own, d_own))
+            out.append(kept)
     return out
 
 
@@ -228,7 +227,7 @@ def _connected(corners: np.ndarray, normal: np.ndarray) -> list[np.ndarray]:
     return np.split(order, np.flatnonzero(np.diff(part_of[order])) + 1)
 
 
-def _within(points: np.ndarray, corners: np.ndarray, beyond: float) -> np.ndarray:
+def _beside_box(points: np.ndarray, corners: np.ndarray, beyond: float) -> np.ndarray:
     """(n,) whether points (n, 3) are in the box about triangles, or so little beside it, m."""
     low, high = corners.min(axis=(0, 1)) - beyond, corners.max(axis=(0, 1)) + beyond
     return np.asarray(((points > low) & (points < high)).all(axis=1))
@@ -239,9 +238,8 @@ def _flattest(corners: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, flo
     weight = areas(corners)
     weight /= weight.sum()
     middle = weight @ corners.mean(axis=1)
-    apart = (corners - middle) * np.sqrt(weight)[:, None, None]
-    apart = apart.reshape(-1, 3)
-    n = np.linalg.eigh(apart.T @ apart)[1][:, 0]
+    off = ((corners - middle) * np.sqrt(weight)[:, None, None]).reshape(-1, 3)
+    n = np.linalg.eigh(off.T @ off)[1][:, 0]
     n *= math.copysign(1.0, n @ towards)
     return n, float(n @ middle)
 
