@@ -70,13 +70,15 @@ def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
     lines = _lines(pieces)
     exact = [candidate for line in lines for candidate in _wedges_of_line(pieces, line)]
     ends = np.array([_ends_of_line(pieces, line) for line in lines]).reshape(-1, 2, 3)
-    *fitted, planes = plane_edges(vertices, scene.faces, side, MIN_LENGTH)
+    creases, borders, planes = plane_edges(vertices, scene.faces, side, MIN_LENGTH)
     del side
     wedges = _tried(scene, exact)
     count, sides = len(wedges.n), float(wedges.length.sum())
-    creases, borders = ([c for c in candidates if not _seen(c, ends)] for candidates in fitted)
-    found = (_longest_first(_tried(scene, candidates)) for candidates in (creases, borders))
-    wedges = _joined(wedges, _without_twins(_joined(*found)))
+    fitted = [
+        _longest_first(_tried(scene, [candidate for candidate in some if not _seen(candidate, ends)]))
+        for some in (creases, borders)
+    ]
+    wedges = _joined(wedges, _without_twins(_joined(*fitted)))
     over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
     text = (
         f"{len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides of "
@@ -147,19 +149,22 @@ def _without_twins(wedges: Wedges) -> Wedges:
     for e in range(len(n)):
         z = (np.arange(_PLACES) + 0.5) / _PLACES
         at = wedges.start[e] + z[:, None] * span[e]
-        if _beside(at, wedges.along[e], wedges.start[kept], span[kept], _TWIN).mean() <= 0.5:
+
+        def is_beside(some: list[int], at: np.ndarray = at, along: np.ndarray = wedges.along[e]) -> bool:
+            return bool(_beside(at, along, wedges.start[some], span[some], _TWIN).mean() > 0.5)
+
+        if not is_beside(kept):
             kept.append(e)
             continue
-        for k in kept:
-            normal, face = wedges.normal[k], wedges.face[k]
-            thick = (wedges.start[k] - wedges.start[e]) @ normal
-            opposite = min(normal @ -wedges.normal[e], face @ wedges.face[e]) > _ALIKE
-            if not opposite or thick < _THIN or n[k] == 2.0:
-                continue
-            if _beside(at, wedges.along[e], wedges.start[[k]], span[[k]], _TWIN).mean() > 0.5:
+        normal, face = wedges.normal[kept], wedges.face[kept]
+        thick = ((wedges.start[kept] - wedges.start[e]) * normal).sum(axis=1)
+        plate = (normal @ wedges.normal[e] < -_ALIKE) & (face @ wedges.face[e] > _ALIKE)
+        for i in np.flatnonzero(plate & (thick >= _THIN) & (n[kept] < 2.0)):
+            k = kept[i]
+            if is_beside([k]):
                 n[k] = 2.0
-                start[k] -= 0.5 * thick * normal
-                offset[k] = -np.linalg.norm(offset[k]) * face
+                start[k] -= 0.5 * thick[i] * normal[i]
+                offset[k] = -np.linalg.norm(offset[k]) * face[i]
     wedges = wedges._replace(n=n, start=start, offset=offset)
     return Wedges(*(column[kept] for column in wedges))
 

@@ -24,7 +24,7 @@ from soundspaces_sim.transport.arrivals.specular_planes import (
     Cover,
     SpecularPlanes,
     cover_at,
-    draw,
+    drawn,
     faces_of_planes,
     group_planes,
     in_plane,
@@ -135,11 +135,7 @@ def _sheets(vertices: np.ndarray, faces: np.ndarray, planes: SpecularPlanes) -> 
         n, d = planes.normal[p], planes.offset[p]
         basis = in_plane(n).T
         flat = corners @ basis
-        border = 2.0 * _GAP
-        corner = flat.min(axis=(0, 1)) - border
-        shape = np.ceil((flat.max(axis=(0, 1)) + border - corner) / _CELL).astype(int)
-        covered = np.zeros(shape, np.bool_)
-        draw((flat - corner) / _CELL, 0.5, covered)
+        corner, covered = drawn(flat, _CELL, 2.0 * _GAP)
         stray = corners.reshape(-1, 3) @ n - d
         margin = float(np.sqrt((stray * stray).mean()))
         rough = is_rough(stray.reshape(-1, 3))

@@ -35,9 +35,7 @@ _MAX_ANGLE_COS = float(np.cos(np.deg2rad(10.0)))
 _MAX_CURVATURE = 0.05  # rad, rms variation of the normal that position explains
 _MAX_TURN_COS = float(np.cos(np.deg2rad(45.0)))  # of triangles that noise turns
 _NOISE = 3.0  # times a rough plane's rms stray: what is nearer is part of it
-_LOOSE = (
-    2.0  # times a grain's offset: a connected part may be so far from the plane by which it is found
-)
+_LOOSE = 2.0  # times a grain's offset: a part may be so far from the plane by which it is found
 _APART = 0.1  # m, between parts that are not connected
 _SETTLES = 3  # times that a part's plane is fitted anew
 _FLAT = 0.0005  # m
@@ -199,7 +197,10 @@ def _parts(
     out = []
     for rows in _connected(corners[faces], n):
         own, towards, offset = faces[rows], n, d
-        for _ in range(_SETTLES):
+        kept = own
+        for k in range(_SETTLES):
+            if k > 0:
+                towards, offset = _flattest(corners[kept], towards)
             height = corners[own] @ towards
             middle = height.mean(axis=1)
             near = np.abs(middle - offset) < grain.offset
@@ -207,7 +208,6 @@ def _parts(
             kept = own[(np.abs(height - offset) < grain.offset).all(axis=1)]
             if areas(corners[kept]).sum() < grain.area:
                 break
-            towards, offset = _flattest(corners[kept], towards)
         else:
             out.append(kept)
     return out
@@ -218,9 +218,7 @@ def _connected(corners: np.ndarray, normal: np.ndarray) -> list[np.ndarray]:
     from scipy import ndimage  # readers of datasets do without it
 
     flat = corners @ in_plane(normal).T
-    first = flat.min(axis=(0, 1)) - 2.0 * _APART
-    covered = np.zeros(np.ceil((flat.max(axis=(0, 1)) - first) / _APART).astype(int) + 2, np.bool_)
-    draw((flat - first) / _APART, 0.5, covered)
+    first, covered = drawn(flat, _APART, 2.0 * _APART)
     i, j = ((flat.mean(axis=1) - first) / _APART).astype(np.int64).T
     part_of = ndimage.label(covered, np.ones((3, 3)))[0][i, j]
     order = np.argsort(part_of, kind="stable")
@@ -485,6 +483,15 @@ def draw(triangles: np.ndarray, beyond: float, covered: np.ndarray) -> None:
                     and (ax - cx) * (y - cy) - (ay - cy) * (x - cx) >= -lc
                 ):
                     covered[i, j] = True
+
+
+def drawn(flat: np.ndarray, size: float, border: float) -> tuple[np.ndarray, np.ndarray]:
+    """(Corner of the first cell; the cells of so many m that triangles (n, 3, 2) cover, with a border, m)."""
+    first = flat.min(axis=(0, 1)) - border
+    shape = np.ceil((flat.max(axis=(0, 1)) + border - first) / size).astype(int)
+    covered = np.zeros(shape, np.bool_)
+    draw((flat - first) / size, 0.5, covered)
+    return first, covered
 
 
 def _widened(covered: np.ndarray, cells: int) -> np.ndarray:

@@ -404,6 +404,12 @@ def solve_way(
     return count, total
 
 
+@part(forceinline=True)
+def _light(n: int, scratch: WayScratch) -> float:
+    """How far a way passes in the light of an edge, rad from the boundary of its shadow."""
+    return math.pi - abs(scratch.angle[n, 1] - scratch.angle[n, 0])
+
+
 @part
 def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
     """An edge in whose light the way passes, and without which it is free; -1 for none. The first and the last one
@@ -411,7 +417,7 @@ def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: Wa
     edge, z = scratch.edge, scratch.z
     scratch.needed[:] = False
     for n in range(count if count > 1 else 0):
-        inner, light = 0 < n < count - 1, math.pi - abs(scratch.angle[n, 1] - scratch.angle[n, 0])
+        inner, light = 0 < n < count - 1, _light(n, scratch)
         if light < (_ALONG if inner else 0.0):
             continue
         before = met_point(wedges, edge[n - 1], z[n - 1]) if n > 0 else p
@@ -550,8 +556,7 @@ def _beyond(phi: float, towards: float) -> float:
 @part(forceinline=True)
 def _is_passed(n: int, count: int, scratch: WayScratch) -> bool:
     """Whether the way only goes by an edge, well in its light, as where something stands out of a rough wall."""
-    light = math.pi - abs(scratch.angle[n, 1] - scratch.angle[n, 0])
-    return 0 < n < count - 1 and light > _ALONG
+    return 0 < n < count - 1 and _light(n, scratch) > _ALONG
 
 
 @part(forceinline=True)
