@@ -124,7 +124,7 @@ def test_an_empty_scanned_room_has_no_edges_inside() -> None:
 def _scanned(clean: ss.Scene, triangles: int, noise: float) -> ss.Scene:
     """A scan of a scene as a user loads it."""
     scan = scan_of(clean, triangles, noise)
-    return _unlabelled(
+    return unlabelled(
         ss.load_scene(
             LabelledMesh(scan.vertices, scan.faces, (), np.full(len(scan.faces), -1), scan.name)
         )
@@ -147,8 +147,8 @@ def _up_to(scene: ss.Scene, points: np.ndarray, until: np.ndarray) -> np.ndarray
 def test_a_scan_with_missing_triangles_sounds_as_its_mesh() -> None:
     """The demo of 384,000 triangles, 5 mm of noise, 3 % missing, 24 points: out of sight the 50 ms from the first
     arrival on are within 1.5 dB rms of the clean mesh's, of which another seed's are 1.2 dB; in sight within 0.5 dB."""
-    clean = _unlabelled(ss.load_scene("demo"))
-    points = _places_of(clean)
+    clean = unlabelled(ss.load_scene("demo"))
+    points = places_of(clean)
     found = _found(clean, points)
     until = np.array([min((a.delay for a in of_pair), default=np.nan) + 0.05 for of_pair in found])
     seen = np.array([any(not a.planes and not a.edges for a in of_pair) for of_pair in found])
@@ -159,11 +159,11 @@ def test_a_scan_with_missing_triangles_sounds_as_its_mesh() -> None:
     assert (np.sqrt((level[seen] ** 2).mean(axis=0)) < 0.5).all()
 
 
-def _unlabelled(scene: ss.Scene) -> ss.Scene:
+def unlabelled(scene: ss.Scene) -> ss.Scene:
     return ss.Scene.from_arrays(scene.vertices, scene.faces, 0.2, 0.3, name=scene.name)
 
 
-def _places_of(scene: ss.Scene) -> np.ndarray:
+def places_of(scene: ss.Scene) -> np.ndarray:
     """(24, 3) m, here and there."""
     points = ss.make_grid(scene, 1.0).points
     points = points[np.linspace(0, len(points) - 1, 24).astype(int)]
@@ -192,8 +192,8 @@ def test_first_arrivals_of_a_small_scan_are_those_of_its_mesh() -> None:
 def _compare_first_arrivals(name: str, triangles: int, noise: float) -> None:
     """24 points, pairs out of sight: 85 of 100 first arrivals come within 1 ms of the clean mesh's, every pair that has
     one there has one, and half of the levels of the first 10 ms are within 3.5 dB below 3.4 kHz."""
-    clean = _unlabelled(ss.load_scene(name))
-    points = _places_of(clean)
+    clean = unlabelled(ss.load_scene(name))
+    points = places_of(clean)
     scan, later, level = _scanned(clean, triangles, noise), list[float](), list[np.ndarray]()
     for one, other in zip(_found(clean, points), _found(scan, points), strict=True):
         if not one or any(not a.planes and not a.edges for a in one):

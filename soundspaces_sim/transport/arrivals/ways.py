@@ -209,19 +209,32 @@ def find_ways(
 
 
 @part(forceinline=True)
-def _near_shadow(phi: float, towards: float) -> float:
-    """1 of an end in the shadow or near it; down to 0 in the light, `_NEAR_SHADOW` from the boundary."""
-    return cosine_taper(2.0 * max((math.pi - abs(phi - towards)) / _NEAR_SHADOW - 0.5, 0.0))
+def _light(n: int, scratch: WayScratch) -> float:
+    """How far a way passes in the light of an edge, rad from the boundary of its shadow."""
+    return math.pi - abs(scratch.angle[n, 1] - scratch.angle[n, 0])
+
+
+@part(forceinline=True)
+def _is_needed(n: int, count: int, scratch: WayScratch) -> bool:
+    """Whether the way is not free without an edge: in its light sound passes it, and is diffracted beside that."""
+    if n == 0:
+        return scratch.needed[0]
+    return n < count - 1 or scratch.needed[1]
+
+
+@part(forceinline=True)
+def _near_shadow(light: float) -> float:
+    """1 in the shadow or near it; down to 0 in the light, this far from the boundary over `_NEAR_SHADOW`."""
+    return cosine_taper(2.0 * max(light - 0.5, 0.0))
 
 
 @part
 def weight_of(count: int, scratch: WayScratch) -> float:
     """Of the way at hand: what is left of it in the light of its first edge and of its last one."""
-    angle, weight = scratch.angle, 1.0
-    if not scratch.needed[0]:
-        weight *= _near_shadow(angle[0, 0], angle[0, 1])
-    if not scratch.needed[1]:
-        weight *= _near_shadow(angle[count - 1, 1], angle[count - 1, 0])
+    weight = 1.0
+    for n in (0, count - 1):
+        if not _is_needed(n, count, scratch):
+            weight *= _near_shadow(_light(n, scratch) / _NEAR_SHADOW)
     return math.sqrt(weight)
 
 
@@ -404,12 +417,6 @@ def solve_way(
     return count, total
 
 
-@part(forceinline=True)
-def _light(n: int, scratch: WayScratch) -> float:
-    """How far a way passes in the light of an edge, rad from the boundary of its shadow."""
-    return math.pi - abs(scratch.angle[n, 1] - scratch.angle[n, 0])
-
-
 @part
 def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
     """An edge in whose light the way passes, and without which it is free; -1 for none. The first and the last one
@@ -507,14 +514,25 @@ def _set_angles(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratc
     return -1
 
 
+@part(forceinline=True)
+def _is_face(wedges: Wedges, n: int, count: int, scratch: WayScratch) -> bool:
+    """Whether the way's edge n and its next one are the parallel edges of a face along which it goes."""
+    if n + 1 >= count or max(_light(n, scratch), _light(n + 1, scratch)) > _NEAR_SHADOW:
+        return False
+    return scratch.common[n] and parallel(wedges, scratch.edge[n], scratch.edge[n + 1])
+
+
 @part
 def _set_units(wedges: Wedges, count: int, scratch: WayScratch) -> None:
     """Which edges are one factor, and how much each factor matters: the square of its turn beyond the boundary of
     its shadow, times what both parts of the way make of it."""
     n = 0
     while n < count:
-        both = n + 1 < count and scratch.common[n]
-        both = both and parallel(wedges, scratch.edge[n], scratch.edge[n + 1])
+        both = _is_face(wedges, n, count, scratch)
+        if both and _is_face(wedges, n + 1, count, scratch):
+            both = _light(n, scratch) <= _light(
+                n + 2, scratch
+            )  # the face whose edges turn the sound more
         scratch.unit[n] = 2 if both else 1
         if both:
             scratch.unit[n + 1] = 0
@@ -559,14 +577,6 @@ def _is_passed(n: int, count: int, scratch: WayScratch) -> bool:
     return 0 < n < count - 1 and _light(n, scratch) > _ALONG
 
 
-@part(forceinline=True)
-def _is_needed(n: int, count: int, scratch: WayScratch) -> bool:
-    """Whether the way is not free without an edge: in its light sound passes it, and is diffracted beside that."""
-    if n == 0:
-        return scratch.needed[0]
-    return n < count - 1 or scratch.needed[1]
-
-
 @part
 def _multiply(
     wedges: Wedges,
@@ -577,8 +587,6 @@ def _multiply(
     double: DoubleWedgeScratch,
 ) -> None:
     """Multiply the wave by a factor."""
-    if scratch.unit[n] == 1 and _is_passed(n, count, scratch):
-        return
     (before, after), angle, e = _legs_of(count, n, scratch), scratch.angle, scratch.edge[n]
     half = 0.5 if scratch.common[n] else 1.0
     if scratch.unit[n] == 2:
@@ -594,8 +602,13 @@ def _multiply(
         for m in range(len(spectrum.node)):
             double.wave[m] *= half * root * double_wedge_field(ends, spectrum.node[m] * sine, double)
         return
-    turn = abs(angle[n, 1] - angle[n, 0])
-    passes = 1.0 if turn < math.pi and _is_needed(n, count, scratch) else 0.0
+    turn, passes, goes_by = abs(angle[n, 1] - angle[n, 0]), 0.0, _is_passed(n, count, scratch)
+    if turn < math.pi and _is_needed(n, count, scratch):
+        passes = _near_shadow(0.5 * _light(n, scratch) / _NEAR_SHADOW)
+    on_face = (
+        min(angle[n, 0], angle[n, 1]) == 0.0 or max(angle[n, 0], angle[n, 1]) == math.pi * wedges.n[e]
+    )
+    waves = 2.0 if on_face else 1.0  # what the face reflects passes too
     plus, on = angle[n, 0] + angle[n, 1], math.inf
     other = 2.0 * math.pi * wedges.n[e] - plus
     path = EdgePath(
@@ -603,8 +616,11 @@ def _multiply(
     )
     front = front_of(path, terms_of(path))
     for m in range(len(spectrum.node)):
-        turned = half * (before + after) * field_at(path, front, spectrum.node[m], (1.0, 1.0))
-        double.wave[m] *= passes + turned
+        turned = (before + after) * field_at(path, front, spectrum.node[m], (1.0, 1.0))
+        if goes_by:
+            double.wave[m] *= passes + (1.0 - passes) * half * turned
+        else:
+            double.wave[m] *= half * (waves * passes + turned)
 
 
 @part
