@@ -31,7 +31,7 @@ _OF_PAIRS = (
 )  # fmt: skip
 _LEAST, _MOST = 8, 16  # points of the larger of two tiles that are timed; the other has a fourth
 _SHARE = 10  # of a job's points in it, one in so many, but for small jobs
-_BUDGET_S = 20.0
+BUDGET_S = 40.0  # for a tile that is timed: one of few points alone says too much, by up to four times
 _PACKED = 0.8  # of int16 noise, after compression
 
 
@@ -87,7 +87,7 @@ def estimate(job: Job) -> Estimate:
         return Estimate(count, count**2, draft.duration, 0, float("nan"))
     threads = thread_count()
     # Processor time, for the clock on the wall also tells what else the machine does during a short measurement.
-    cost = measure(job, (most // 4, most), _BUDGET_S, lambda: time.process_time() / threads)
+    cost = measure(job, (most // 4, most), BUDGET_S, lambda: time.process_time() / threads)
     shape = choose_shape(threads, free_memory(), len(left))
     parts: Sequence[PointBlocks | Square] = [job.plan.tiles[n] for n in left]
     if shape.processes == 1:  # which simulates tiles as one

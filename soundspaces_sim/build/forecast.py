@@ -13,7 +13,7 @@ import numpy as np
 from soundspaces_sim.build.cores import use_cores
 from soundspaces_sim.build.engines import BuildProgress, Progress
 from soundspaces_sim.build.engines.capacity import Shape, choose_shape
-from soundspaces_sim.build.estimate import load_shared, measure
+from soundspaces_sim.build.estimate import BUDGET_S, load_shared, measure
 from soundspaces_sim.build.prepare import plan_job
 from soundspaces_sim.core.config import JobConfig
 from soundspaces_sim.core.errors import PointError
@@ -25,7 +25,6 @@ from soundspaces_sim.scene.scene import Scene
 # better what a pair costs beside what a tile costs anyway, but where a pair takes seconds small ones do too. Large
 # ones have a fifth of a job's points at most: a forecast is much shorter than its job.
 _SMALL, _LARGE, _PART = (2, 4), (16, 48), 5
-_BUDGET_S = 40.0
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def forecast(
     small = {1 if count == 2 else _SMALL[0], *(min(k, count) for k in _SMALL)}
     sizes = sorted({*small, *(k for k in _LARGE if _PART * k <= count)})
     with use_cores(1):
-        cost = measure(job, sizes, _BUDGET_S, time.process_time, tell)
+        cost = measure(job, sizes, BUDGET_S, time.process_time, tell)
     return Forecast(
         scene.name,
         count,
