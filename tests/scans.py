@@ -60,3 +60,15 @@ def _cut(
             row = np.concatenate([row, row[face]])
             ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
             key = np.where(ends[..., 1] < count, ends[..., 0] * count + ends[..., 1], -1)
+
+
+def unlabelled(scene: ss.Scene) -> ss.Scene:
+    """Of one material."""
+    return ss.Scene.from_arrays(scene.vertices, scene.faces, 0.2, 0.3, name=scene.name)
+
+
+def places_of(scene: ss.Scene) -> np.ndarray:
+    """(24, 3) m, here and there."""
+    points = ss.make_grid(scene, 1.0).points
+    points = points[np.linspace(0, len(points) - 1, 24).astype(int)]
+    return np.asarray(points + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape))

@@ -15,7 +15,7 @@ from soundspaces_sim.transport.arrivals.specular_planes import FACES, group_plan
 from soundspaces_sim.transport.arrivals.wedges import Wedges
 from tests.marks import ci_slow
 from tests.rooms import box, edges_alone, table, two_rooms
-from tests.scans import scan_of
+from tests.scans import places_of, scan_of, unlabelled
 from tests.transport.test_find_wedges import _cuboid, _in_box, _inside
 
 _NEAR = 0.05  # m
@@ -157,17 +157,6 @@ def test_a_scan_with_missing_triangles_sounds_as_its_mesh() -> None:
     assert seen.sum() > 50 and (~seen).sum() > 100
     assert (np.sqrt((level[~seen] ** 2).mean(axis=0)) < 1.5).all()
     assert (np.sqrt((level[seen] ** 2).mean(axis=0)) < 0.5).all()
-
-
-def unlabelled(scene: ss.Scene) -> ss.Scene:
-    return ss.Scene.from_arrays(scene.vertices, scene.faces, 0.2, 0.3, name=scene.name)
-
-
-def places_of(scene: ss.Scene) -> np.ndarray:
-    """(24, 3) m, here and there."""
-    points = ss.make_grid(scene, 1.0).points
-    points = points[np.linspace(0, len(points) - 1, 24).astype(int)]
-    return np.asarray(points + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape))
 
 
 def _found(scene: ss.Scene, points: np.ndarray) -> list[list[ss.Arrival]]:

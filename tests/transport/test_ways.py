@@ -16,11 +16,11 @@ from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
 from soundspaces_sim.transport.preparation import make_model
 from tests.marks import ci_slow
 from tests.rooms import edges_alone
+from tests.scans import places_of, unlabelled
 from tests.transport.boundary_elements import Body, box
 from tests.transport.edge_walks import SPEED, Walk
 from tests.transport.far_round import CASES, TABLE, far_round
 from tests.transport.test_edge_walks import levels_of
-from tests.transport.test_scans import places_of, unlabelled
 
 _SPACING = 0.3  # m, between places of an edge
 

@@ -94,9 +94,7 @@ class WayScratch(NamedTuple):
     unit: np.ndarray  # (_MOST_EDGES,) edges of the factor that begins here: 1, 2; 0: it began one before
     size: np.ndarray  # (_MOST_EDGES,) how much a factor matters
     set: np.ndarray  # (_MOST_EDGES,) whether its factor is there
-    needed: (
-        np.ndarray
-    )  # (2,) in the light of its first edge, and of its last one, without which it is not free
+    needed: np.ndarray  # (2,) it is not free without its first edge, its last one, in whose light it is
 
 
 def make_way_scratch() -> WayScratch:
@@ -223,9 +221,9 @@ def _is_needed(n: int, count: int, scratch: WayScratch) -> bool:
 
 
 @part(forceinline=True)
-def _near_shadow(light: float) -> float:
-    """1 in the shadow or near it; down to 0 in the light, this far from the boundary over `_NEAR_SHADOW`."""
-    return cosine_taper(2.0 * max(light - 0.5, 0.0))
+def _near_shadow(light: float, reach: float) -> float:
+    """1 in the shadow and up to half of `reach` rad in the light, from there down to 0."""
+    return cosine_taper(2.0 * max(light / reach - 0.5, 0.0))
 
 
 @part
@@ -234,7 +232,7 @@ def weight_of(count: int, scratch: WayScratch) -> float:
     weight = 1.0
     for n in (0, count - 1):
         if not _is_needed(n, count, scratch):
-            weight *= _near_shadow(_light(n, scratch) / _NEAR_SHADOW)
+            weight *= _near_shadow(_light(n, scratch), _NEAR_SHADOW)
     return math.sqrt(weight)
 
 
@@ -529,10 +527,9 @@ def _set_units(wedges: Wedges, count: int, scratch: WayScratch) -> None:
     n = 0
     while n < count:
         both = _is_face(wedges, n, count, scratch)
+        # Of two faces with a common edge, that whose edges turn the sound more.
         if both and _is_face(wedges, n + 1, count, scratch):
-            both = _light(n, scratch) <= _light(
-                n + 2, scratch
-            )  # the face whose edges turn the sound more
+            both = _light(n, scratch) <= _light(n + 2, scratch)
         scratch.unit[n] = 2 if both else 1
         if both:
             scratch.unit[n + 1] = 0
@@ -545,7 +542,7 @@ def _set_units(wedges: Wedges, count: int, scratch: WayScratch) -> None:
             elif m >= n + scratch.unit[n]:
                 after += scratch.leg[m]
         for m in range(n, n + scratch.unit[n]):
-            turn += max(abs(scratch.angle[m, 1] - scratch.angle[m, 0]) - math.pi, 0.0)
+            turn += max(-_light(m, scratch), 0.0)
         scratch.size[n] = turn * turn * before * after / (before + after)
         scratch.set[n] = False
 
@@ -602,18 +599,18 @@ def _multiply(
         for m in range(len(spectrum.node)):
             double.wave[m] *= half * root * double_wedge_field(ends, spectrum.node[m] * sine, double)
         return
-    turn, passes, goes_by = abs(angle[n, 1] - angle[n, 0]), 0.0, _is_passed(n, count, scratch)
-    if turn < math.pi and _is_needed(n, count, scratch):
-        passes = _near_shadow(0.5 * _light(n, scratch) / _NEAR_SHADOW)
-    on_face = (
-        min(angle[n, 0], angle[n, 1]) == 0.0 or max(angle[n, 0], angle[n, 1]) == math.pi * wedges.n[e]
-    )
+    light, passes, goes_by = _light(n, scratch), 0.0, _is_passed(n, count, scratch)
+    if light > 0.0 and _is_needed(n, count, scratch):
+        passes = _near_shadow(light, 2.0 * _NEAR_SHADOW)
+    if goes_by and passes == 1.0:
+        return
+    one, other, sector, on = angle[n, 0], angle[n, 1], math.pi * wedges.n[e], math.inf
+    plus, on_face = one + other, min(one, other) == 0.0 or max(one, other) == sector
     waves = 2.0 if on_face else 1.0  # what the face reflects passes too
-    plus, on = angle[n, 0] + angle[n, 1], math.inf
-    other = 2.0 * math.pi * wedges.n[e] - plus
     path = EdgePath(
-        wedges.n[e], turn, plus, other, before, after, scratch.sine[n], 0.5, 1.0, on, on, 1.0
-    )
+        wedges.n[e], abs(other - one), plus, 2.0 * sector - plus, before, after, scratch.sine[n], 0.5, 1.0,
+        on, on, 1.0,
+    )  # fmt: skip
     front = front_of(path, terms_of(path))
     for m in range(len(spectrum.node)):
         turned = (before + after) * field_at(path, front, spectrum.node[m], (1.0, 1.0))
