@@ -11,9 +11,14 @@ bin, band and half-sample. That would be most of the work, so the logarithm is o
 instructions for (`_take_logarithms`).
 
 The variance of a variance from so few batches is large. Bands share the subpaths, so relative variances (of
-levels in dB: absolute ones) are drawn towards their mean over the bands, as if that had `_PRIOR` degrees of
-freedom (a moderated variance, Smyth 2004). Deviations over errors are then of Student's t with that many degrees
-of freedom, whose standard deviation is `_STUDENT`: errors are as much larger, so that it is 1.
+levels in dB: absolute ones) that are below their mean over the bands are drawn towards it, as if that had `_PRIOR`
+degrees of freedom (a moderated variance, Smyth 2004); a band that owes more to chance than others keeps its own.
+Deviations over errors are then of Student's t with that many degrees of freedom, whose standard deviation is
+`_STUDENT`: errors are as much larger, so that it is 1.
+
+A reverberation time may owe much to few lucky subpaths, and a seed that lacks them has a small error. As few
+batches then carry what is left later, at `LATER` of the last level. If n do, the error is as much wider as
+Student's t has a larger standard deviation with n - 1 degrees of freedom than with K - 1.
 
 Rare subpaths that carry much may be in none of the batches of one end. Late energies are means of estimates by
 either end. Where half of what a measure differs by between both is above `UNLIKELY` errors, it is the error.
@@ -27,7 +32,7 @@ adds to the error as an independent one.
 
 What a measure rests on may be by fewer subpaths than early or late energy as a whole: what comes within 50 or 80 ms
 of the onset, for clarity and definition; for reverberation times, what is left where the levels end to which a line
-is fitted. Where `LEAST_EFFECTIVE` batches do not carry it, the error is not known (`_forget_few`).
+is fitted. Where `LEAST_EFFECTIVE` batches do not carry it, the error is not known (`_judge_numbers`).
 """
 
 import math
@@ -54,6 +59,8 @@ _RESTS_ON = ((0.05, 0.0), (0.08, 0.0), (0.0, 0.1), (0.0, 10.0**-2.5), (0.0, 10.0
 _RESTING = np.array(
     [{"c50": 0, "d50": 0, "c80": 1, "edt": 2, "t20": 3, "t30": 4}.get(m, -1) for m in MEASURES]
 )
+LATER = 0.1  # of what is left at such a level: there batches are counted that tell how well an error is known
+_LEAST_COUNTED = 4.0  # down to which errors are as much wider as Student's t says
 DIRECT_S = 0.0025  # of the direct sound, for the direct-to-reverberant ratio
 _LOWEST = 10.0**-3.51  # of the energy of a decay: no measure looks below -35 dB
 _ROOT_BITS = np.int32(0x3F3504F3)  # of the root of one half in single precision
@@ -117,7 +124,7 @@ class _Work(NamedTuple):
     # (M, b, half-samples + 5): of these, of all, by subpaths of either end, by either onset
     found: np.ndarray
     value: np.ndarray  # (M, b) by which relative errors are multiplied
-    inverse: np.ndarray  # (2, b) of `_forget_few`: by band, and in order
+    inverse: np.ndarray  # (2, b) of `_inverse_numbers`: of a band alone, and drawn to the median
 
 
 @part(forceinline=True)
@@ -404,30 +411,51 @@ def _level_time(bins: _Bins, total: np.ndarray, level: float) -> float:
 
 
 @part
-def _forget_few(samples: _Samples, bins: _Bins, start: int, work: _Work, out: np.ndarray) -> None:
+def _inverse_numbers(
+    samples: _Samples, bins: _Bins, start: int, work: _Work, after: float, level: float
+) -> None:
+    """Fill `work.inverse` by band with 1 / the number of batches that carry what comes up to `after` s from bin
+    `start` on or, if `level` is above zero, what is left from that level on; and with the same drawn half way to
+    the median over bands, which share the subpaths."""
+    bands, inverse, onset = len(work.total), work.inverse, bins.edges[start]
+    for b in range(bands):
+        begin, end = onset, onset + after
+        if level > 0.0:
+            begin, end = _level_time(bins, work.total[b], level), bins.edges[len(bins.edges) - 1]
+        inverse[0, b] = _inverse_number(samples, bins, work, b, begin, end)
+        place = b
+        while place > 0 and inverse[1, place - 1] > inverse[0, b]:
+            inverse[1, place] = inverse[1, place - 1]
+            place -= 1
+        inverse[1, place] = inverse[0, b]
+    median = 0.5 * (inverse[1, bands // 2] + inverse[1, (bands - 1) // 2])
+    for b in range(bands):
+        inverse[1, b] = 0.5 * (inverse[0, b] + median)
+
+
+@part
+def _judge_numbers(samples: _Samples, bins: _Bins, start: int, work: _Work, out: np.ndarray) -> None:
     """Make errors `out` (M, b) NaN where too few batches carry what a measure rests on: what comes up to 50 or
-    80 ms from bin `start` on, or what is left at the end of the levels to which a line is fitted. Bands share the
-    subpaths: 1 / number is drawn half way to their median."""
-    bands, inverse = len(work.total), work.inverse
-    onset, last = bins.edges[start], bins.edges[len(bins.edges) - 1]
+    80 ms from bin `start` on, or what is left at the end of the levels to which a line is fitted. Fill `work.value`
+    with how much wider errors are, as so few carry what is left `LATER`."""
+    inverse, batches = work.inverse, samples.batches.shape[1]
+    work.value[:] = 1.0
     for n in range(len(_RESTS_ON)):
         after, level = _RESTS_ON[n]
-        for b in range(bands):
-            begin, end = onset, onset + after
-            if level > 0.0:
-                begin, end = _level_time(bins, work.total[b], level), last
-            inverse[0, b] = _inverse_number(samples, bins, work, b, begin, end)
-            place = b
-            while place > 0 and inverse[1, place - 1] > inverse[0, b]:
-                inverse[1, place] = inverse[1, place - 1]
-                place -= 1
-            inverse[1, place] = inverse[0, b]
-        median = 0.5 * (inverse[1, bands // 2] + inverse[1, (bands - 1) // 2])
-        for b in range(bands):
-            if 0.5 * (inverse[0, b] + median) > 1.0 / LEAST_EFFECTIVE:
-                for m in range(len(out)):
-                    if _RESTING[m] == n:
-                        out[m, b] = math.nan
+        _inverse_numbers(samples, bins, start, work, after, level)
+        for m in range(len(out)):
+            for b in range(out.shape[1]):
+                if _RESTING[m] == n and inverse[1, b] > 1.0 / LEAST_EFFECTIVE:
+                    out[m, b] = math.nan
+        if level == 0.0:
+            continue
+        _inverse_numbers(samples, bins, start, work, after, LATER * level)
+        for m in range(len(out)):
+            for b in range(out.shape[1]):
+                if _RESTING[m] == n:
+                    number = max(1.0 / max(inverse[0, b], inverse[1, b]), _LEAST_COUNTED)
+                    squared = (number - 1.0) / (number - 3.0) * (batches - 3.0) / (batches - 1.0)
+                    work.value[m, b] = math.sqrt(squared)
 
 
 @part(forceinline=True)
@@ -457,7 +485,7 @@ def _errors(
         start = _start(pairs, n, lit, work)
         doubtful = not lit and _measure_onsets(pairs, samples, work, halves + 3)
         out[row] = 0.0
-        _forget_few(samples, pairs.bins, start, work, out[row])
+        _judge_numbers(samples, pairs.bins, start, work, out[row])
         for end in range(2):
             _by_one_end(2.0 * end - 1.0, samples.difference[n], work)
             _measure(pairs, n, lit, work, halves + 1 + end)
@@ -467,7 +495,7 @@ def _errors(
                 if m == _D50:  # alike over bands is the error of C50, 10 lg(D / (1 - D))
                     scale *= 1.0 - scale
                 out[row, m, b] += _spread(found[m, b], halves) / scale if scale > 0.0 else math.nan
-                value[m, b] = scale
+                value[m, b] *= scale
         _moderate(out[row], degrees)
         for m in range(out.shape[1]):
             for b in range(out.shape[2]):
@@ -495,7 +523,7 @@ def _values(first: int, last: int, pairs: _Pairs, out: np.ndarray, work: _Work) 
 
 @part
 def _moderate(errors: np.ndarray, degrees: int) -> None:
-    """Draw squares of errors (M, b) towards their mean over bands."""
+    """Draw squares of errors (M, b) up towards their mean over bands."""
     for m in range(errors.shape[0]):
         mean, known = 0.0, 0
         for b in range(errors.shape[1]):
@@ -504,7 +532,8 @@ def _moderate(errors: np.ndarray, degrees: int) -> None:
                 known += 1
         for b in range(errors.shape[1]):
             if errors[m, b] >= 0.0:
-                square = degrees * errors[m, b] ** 2 + _PRIOR * mean / known
+                own = errors[m, b] ** 2
+                square = degrees * own + _PRIOR * max(mean / known, own)
                 errors[m, b] = math.sqrt(square / (degrees + _PRIOR))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 import soundspaces_sim as ss
 from soundspaces_sim.echogram.measure_errors import LEAST_EFFECTIVE
@@ -75,12 +76,34 @@ def test_half_of_an_energy_is_no_error() -> None:
     )
 
 
+def _sums(mean: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count, BATCHES) batches of sums of a Poisson number of exponentially distributed energies."""
+    of_batch = rng.poisson(mean / BATCHES, (count, BATCHES))
+    return np.where(of_batch > 0, rng.gamma(np.maximum(of_batch, 1)), 0.0)  # sums of so many
+
+
+def test_deviations_by_number_of_batches_are_of_student() -> None:
+    """Of sums of few subpaths, however many, from 4 to 14 batches that carry them: over an error by batches, their
+    deviations are those of Student's t with one degree of freedom less than these."""
+    rng = np.random.default_rng(0)
+    number, z = [], []
+    for mean in np.geomspace(1.0, 400.0, 24):
+        batches = _sums(mean, 40_000, rng)
+        whole, error = batches.sum(axis=1), batches.std(axis=1, ddof=1) * np.sqrt(BATCHES)
+        some = whole > 0.0
+        number.append(whole[some] ** 2 / np.square(batches[some]).sum(axis=1))
+        z.append((whole[some] - mean) / error[some])
+    all_of, squares = np.concatenate(number), np.concatenate(z) ** 2
+    for low in np.arange(4.0, 14.0):
+        told = np.sqrt(squares[(all_of >= low) & (all_of < low + 1.0)].mean())
+        np.testing.assert_allclose(told, t(low - 0.5).std(), rtol=0.05, err_msg=str(low))
+
+
 def _stated(mean: float, floor: float, rng: np.random.Generator) -> tuple[float, float, float]:
     """Of sums of a Poisson number of exponentially distributed energies, in batches: which share has an error that
     is stated (0 for less than .1), and of these, which share is within two of it, and beyond five."""
     count = 60_000
-    of_batch = rng.poisson(mean / BATCHES, (count, BATCHES))
-    batches = np.where(of_batch > 0, rng.gamma(np.maximum(of_batch, 1)), 0.0)  # sums of so many
+    batches = _sums(mean, count, rng)
     whole = batches.sum(axis=1)
     share = np.broadcast_to([[0.0], [1.0]], (count, 1, 2, 1))
     reference = np.stack([np.zeros(count), whole], axis=1)[:, None, :, None]
