@@ -15,6 +15,7 @@ import numpy as np
 import scipy.fft
 
 from soundspaces_sim.core.numerics.air import Air
+from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.echogram.echogram import Echogram
 from soundspaces_sim.echogram.filters import air_left
 
@@ -46,20 +47,61 @@ def through_air(response: np.ndarray, air: Air | None, rate: int) -> np.ndarray:
         return response
     n, (hop, ring) = response.shape[1], hop_and_ring(rate)
     count = -(-n // hop) + 1
-    padded = np.zeros((len(response), (count + 1) * hop), np.float32)
-    padded[:, hop : hop + n] = response
-    frames = np.lib.stride_tricks.sliding_window_view(padded, 2 * hop, axis=1)[:, ::hop]
-    window = (np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)) ** 2).astype(np.float32)
     size = int(scipy.fft.next_fast_len(2 * hop + 2 * ring, real=True))
-    spectrum = scipy.fft.rfft(frames * window, size)
-    spectrum *= hop_filters(air, rate, hop, count, size)
-    made = scipy.fft.irfft(spectrum, size, overwrite_x=True)
-    out = np.zeros((len(response), padded.shape[1] + 2 * ring), np.float32)
-    for k in range(count):  # what the filter puts before a frame lies at the end of its transform
-        first = k * hop + ring
-        out[:, first : first + 2 * hop + ring] += made[:, k, : 2 * hop + ring]
-        out[:, first - ring : first] += made[:, k, size - ring :]
-    return np.ascontiguousarray(out[:, hop + ring : hop + ring + n])
+    filters, window = hop_filters(air, rate, hop, count, size), _window(hop)
+    out, frames = np.zeros((len(response), n), np.float32), np.zeros((count, size), np.float32)
+    for before, after in zip(response, out, strict=True):  # what a channel needs stays in the cache
+        _cut(frames, np.ascontiguousarray(before, np.float32), window)
+        spectrum = scipy.fft.rfft(frames)
+        spectrum *= filters
+        _overlap(after, scipy.fft.irfft(spectrum, size, overwrite_x=True), hop, ring)
+    return out
+
+
+@kernel
+def _cut(out: np.ndarray, samples: np.ndarray, window: np.ndarray) -> None:
+    """Fill the beginnings of `out` (k, F) with samples (n,) under a window (2 hop,), each a hop later; the first
+    begins a hop before the samples."""
+    n, length = len(samples), len(window)
+    hop = length // 2
+    for k in range(len(out)):
+        first = (k - 1) * hop
+        low, high = max(-first, 0), min(n - first, length)
+        into = out[k]
+        into[:low] = 0.0
+        into[max(high, 0) : length] = 0.0
+        begin = np.uintp(low)
+        here = np.uintp(first + low)
+        for i in range(np.uintp(max(high - low, 0))):
+            into[begin + i] = samples[here + i] * window[begin + i]
+
+
+@kernel
+def _overlap(out: np.ndarray, frames: np.ndarray, hop: int, ring: int) -> None:
+    """Add to `out` (n,) filtered frames (k, F) of `_cut`. What the filter puts before a frame lies at the end of
+    its transform."""
+    size = frames.shape[1]
+    for k in range(len(frames)):
+        first, of_frame = (k - 1) * hop, frames[k]
+        _add_from(out, first, of_frame, 0, 2 * hop + ring)
+        _add_from(out, first - ring, of_frame, size - ring, ring)
+
+
+@part
+def _add_from(out: np.ndarray, first: int, frame: np.ndarray, start: int, length: int) -> None:
+    """Add `length` samples of a frame from `start` on to `out` from `first` on, those that it has."""
+    low, high = max(-first, 0), min(len(out) - first, length)
+    here, there = np.uintp(first + low), np.uintp(start + low)
+    for i in range(np.uintp(max(high - low, 0))):
+        out[here + i] += frame[there + i]
+
+
+@lru_cache(maxsize=8)
+def _window(hop: int) -> np.ndarray:
+    """(2 hop,) float32 that adds up to 1 with itself a hop later."""
+    made = (np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)) ** 2).astype(np.float32)
+    made.setflags(write=False)
+    return made
 
 
 @lru_cache(maxsize=8)

@@ -221,6 +221,26 @@ def test_batches_are_single_reads(dataset_folder: Path, kind: str) -> None:
             ds.get_batch([(0, 999)])
 
 
+def test_what_pairs_are_read_from_is_found_once(
+    dataset_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not once for each pair."""
+    found: list[str] = []
+    get = h5py.Group.__getitem__
+
+    def counted(group: h5py.Group, name: str) -> object:
+        found.append(name)
+        return get(group, name)
+
+    with ss.open_dataset(dataset_folder) as ds:
+        pairs = [(s, l) for s in range(len(ds.points)) for l in range(len(ds.points))]
+        first = [ds.echogram(*pair).energy for pair in pairs]  # opens all shards
+        monkeypatch.setattr(h5py.Group, "__getitem__", counted)
+        second = [ds.echogram(*pair).energy for pair in pairs]
+        assert not found
+    np.testing.assert_array_equal(first, second)
+
+
 def test_sampling_is_seeded_and_limited(dataset_folder: Path) -> None:
     ds = ss.open_dataset(dataset_folder)
     np.testing.assert_array_equal(ds.sample(50, 1), ds.sample(50, 1))

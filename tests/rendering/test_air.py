@@ -12,6 +12,7 @@ import soundspaces_sim as ss
 from soundspaces_sim.core.numerics.air import Air
 from soundspaces_sim.core.numerics.bands import DEFAULT_BANDS
 from soundspaces_sim.echogram.echogram import Arrival, Arrivals
+from soundspaces_sim.rendering.air import hop_and_ring, hop_filters, through_air
 from soundspaces_sim.rendering.ambisonics import ambisonic_rir
 from soundspaces_sim.rendering.microphones import MicrophoneArray, array_rir
 from tests import iso9613
@@ -85,3 +86,21 @@ def test_reverberation_loses_in_every_octave_what_air_takes(render: Render, coun
     lost = 10.0 * np.log10(levels[0] / levels[1])
     expected = [10.0 * np.log10(iso9613.left(o / HALF, o * HALF, 100.0)) for o in OCTAVES]
     np.testing.assert_allclose(lost, expected, atol=0.3)
+
+
+@pytest.mark.parametrize("n", [1, 23, 192, 200, 1000, 4801])
+def test_frames_are_filtered_one_by_one_and_added(n: int) -> None:
+    """Responses shorter than a frame or not, of which frames hang over at both ends: as a loop over frames has it."""
+    rate, air = 16000, Air()
+    (hop, ring), count, size = hop_and_ring(rate), -(-n // 192) + 1, 432
+    assert (hop, ring) == (192, 24)
+    response = np.random.default_rng(n).standard_normal((2, n)).astype(np.float32)
+    padded = np.pad(response.astype(float), ((0, 0), (hop, 2 * hop)))
+    window = np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)) ** 2
+    filters = hop_filters(air, rate, hop, count, size)
+    expected = np.zeros((2, (count + 1) * hop + 2 * ring))
+    for k in range(count):
+        frame = np.fft.rfft(padded[:, k * hop : (k + 2) * hop] * window, size) * filters[k]
+        expected[:, k * hop : k * hop + size] += np.roll(np.fft.irfft(frame, size), ring, axis=1)
+    found = through_air(response, air, rate)
+    np.testing.assert_allclose(found, expected[:, hop + ring : hop + ring + n], atol=2e-6)

@@ -84,6 +84,47 @@ def test_a_source_on_its_way_is_heard_from_there(field: SoundField) -> None:
         assert abs(int(both[:2000].argmax()) - apart / 343.0 * RATE) < 12
 
 
+def test_nothing_is_made_that_is_not_heard(field: SoundField, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reverberation of each pair once, none before a sound begins; colours of those pairs whose paths arrive, none
+    where paths are simulated."""
+    made: list[tuple[str, int, int]] = []
+    of_pair = StepRenderer._of_pair
+
+    def counted(self: StepRenderer, what: str, s: int, l: int, make: Any) -> Any:
+        def make_and_count(*given: Any) -> Any:
+            made.append((what, s, l))
+            return make(*given)
+
+        return of_pair(self, what, s, l, make_and_count)
+
+    monkeypatch.setattr(StepRenderer, "_of_pair", counted)
+    clip = np.random.default_rng(1).standard_normal(RATE).astype(np.float32)
+    for paths in ("simulated", "moved"):
+        own = SoundField(field.ds, field.scene, paths=paths)
+        source = own.at_point(0)
+        place = own.place(own.points[1] + field.scene.center + [0.1, 0.2, 0.0])
+        assert len(place.points) > 1
+        sounding = [Sounding(SourceSignal("late", clip, 3 * BLOCK, 10**9), source)]
+        steps = renderer(own)
+        for step in range(2):
+            assert not steps.hear(step, sounding, place, 0.0)[0].any()
+        assert not made
+        for step in range(2, 6):
+            ears, _ = steps.hear(step, sounding, place, 0.3 * step)
+        assert ears.any()
+        heard, first = [], 0
+        if paths == "moved":
+            arriving = own.heard(source, place)
+            for pair, end in zip(arriving.pairs, arriving.ends, strict=True):
+                heard += [pair] if end > first else []
+                first = end
+            assert heard
+        assert sorted(made) == sorted(
+            [("late", 0, l) for l in place.points] + [("colour", *pair) for pair in heard]
+        )
+        made.clear()
+
+
 def test_what_is_kept_is_within_2_to_the_minus_16_of_its_peak() -> None:
     """Noise that decays by 70 dB, one that is silent, one that ends within a stretch: 16 bits and then 8, each error
     below half a unit of its own scale, and that below 2^-16 of the response's peak."""

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from soundspaces_sim.core.errors import DatasetError
@@ -30,6 +31,7 @@ class Shard:
     def __init__(self, source: Path | bytes, form: Form) -> None:
         self.where = str(source) if isinstance(source, Path) else "shard in memory"
         self.file = open_hdf5(source, DatasetError, "shard", REBUILD, follow=False)
+        self._items: dict[str, h5py.Dataset] = {}
         try:
             self.version = schema.check(self.file, self.where, form)
             self.key = str(self.attribute("key"))
@@ -55,8 +57,14 @@ class Shard:
     def read(self, name: str, where: Any = ...) -> np.ndarray:
         """A dataset or part of it. Raises `DatasetError` if its bytes are damaged."""
         what = f"{self.where}: dataset '{name}'"
-        with in_our_words(what, DatasetError, REBUILD):
-            item = self.file[name]
+        item = self._items.get(name)
+        if item is None:
+            with in_our_words(what, DatasetError, REBUILD):
+                item = self.file[name]
+            if (
+                where is not ...
+            ):  # another pair's part is next, and to find it takes as long as to read it
+                self._items[name] = item
         return read_numbers(item, where, what, DatasetError, REBUILD)
 
     def require(self, ok: Any, name: str, expected: str) -> None:
@@ -117,6 +125,7 @@ class Shard:
             raise DatasetError(f"{self.where}: the simulation of pair ({s}, {l}) failed")
 
     def close(self) -> None:
+        self._items.clear()
         self.file.close()
 
 

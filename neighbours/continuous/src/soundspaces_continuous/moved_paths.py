@@ -116,27 +116,24 @@ def paths_of(
         out.energy[-1] = air_transmission(config, np.array([apart]))[0] / (4.0 * math.pi * apart**2)
     out.kind[:m], out.energy[:m] = early.kind, early.energy
     out.length[:m] = early.delay * speed_of_sound
-    for i in range(m):
-        planes = early.planes[i][early.planes[i] >= 0]
-        edges = early.edges[i][early.edges[i] >= 0]
-        if int(early.kind[i]) == MIRRORS_AND_BACK:
-            out.mirrors[i] = planes
-        elif int(early.kind[i]) == MIRRORS:
-            out.mirrors[i, : len(planes)] = planes[::-1]
-        else:
-            if early.kind[i] == EDGE_MIRROR:
-                out.mirrors[i, 0] = planes[0]
-            mirror = int(out.mirrors[i, 0])
-            apex = _apex(around, int(edges[-1]), mirror, point, early.direction[i])
-            out.target[i], out.clear[i] = apex, apex + around.wedges.offset[edges[-1]]
-            seen = _mirrored(around.planes, mirror, apex)
-            out.rest[i] = max(out.length[i] - float(np.linalg.norm(seen - point)), 0.0)
+    planes, edges = _packed_left(early.planes), _packed_left(early.edges)
+    back, mirrored = early.kind == MIRRORS_AND_BACK, early.kind == MIRRORS
+    out.mirrors[:m][back] = planes[back]
+    out.mirrors[:m][mirrored] = _packed_left(planes[mirrored, ::-1])
+    own = np.flatnonzero(early.kind == EDGE_MIRROR)
+    out.mirrors[own, 0] = planes[own, 0]
+    own = np.flatnonzero(~(back | mirrored))
+    edge, mirror = np.where(edges[own, 1] >= 0, edges[own, 1], edges[own, 0]), out.mirrors[own, 0]
+    apex = _apexes(around, edge, mirror, point, early.direction[own])
+    out.target[own], out.clear[own] = apex, apex + around.wedges.offset[edge]
+    seen = np.linalg.norm(_mirrored(around.planes, mirror, apex) - point, axis=1)
+    out.rest[own] = np.maximum(out.length[own] - seen, 0.0)
     out.name[:, 0] = out.kind
     out.name[:m, 1:3], out.name[:m, 3:5] = early.planes, early.edges
-    for i in np.flatnonzero((out.mirrors[:, 1] >= 0) & (out.kind == MIRRORS)).tolist():
-        a, b = around.planes.normal[out.mirrors[i]]
-        if abs(a @ b) < _SQUARE:
-            out.name[i, 1:3] = np.sort(out.name[i, 1:3])
+    two = np.flatnonzero((out.mirrors[:, 1] >= 0) & (out.kind == MIRRORS))
+    first, second = around.planes.normal[out.mirrors[two].T]
+    two = two[np.abs(_dots(first, second)) < _SQUARE]
+    out.name[two, 1:3] = np.sort(out.name[two, 1:3], axis=1)
     last = np.maximum(out.length - out.rest, around.least)
     out.scale[:] = np.sqrt(last * np.maximum(out.length, around.least))
     return _merged(out)
@@ -145,6 +142,8 @@ def paths_of(
 def _merged(paths: Paths) -> Paths:
     """Paths of the same name as one: by two planes at right angles, either first, where source and point are both
     in the plane halfway between them."""
+    if len(set(map(tuple, paths.name.tolist()))) == len(paths.name):
+        return paths
     _, first, row = np.unique(paths.name, axis=0, return_index=True, return_inverse=True)
     energy = np.zeros((len(first), paths.energy.shape[1]))
     np.add.at(energy, row.ravel(), paths.energy)
@@ -153,28 +152,38 @@ def _merged(paths: Paths) -> Paths:
     return kept._replace(energy=energy[order])
 
 
-def _mirrored(planes: SpecularPlanes, plane: int, x: np.ndarray) -> np.ndarray:
-    """A point, or its image in a plane."""
-    if plane < 0:
-        return x
+def _packed_left(rows: np.ndarray) -> np.ndarray:
+    """(n, 2) numbers, -1 for none, of which none comes before another."""
+    return np.where(rows[:, :1] >= 0, rows, np.stack([rows[:, 1], np.full(len(rows), -1)], axis=1))
+
+
+def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n,) products of vectors (n, 3)."""
+    return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
+def _mirrored(planes: SpecularPlanes, plane: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Points (n, 3), or their images in planes (n,); -1: in none."""
     n = planes.normal[plane]
-    return np.asarray(x - 2.0 * (x @ n - planes.offset[plane]) * n)
+    far = np.where(plane >= 0, _dots(x, n) - planes.offset[plane], 0.0)
+    return np.asarray(x - 2.0 * far[:, None] * n)
 
 
-def _apex(
-    around: Surroundings, edge: int, mirror: int, point: np.ndarray, direction: np.ndarray
+def _apexes(
+    around: Surroundings, edge: np.ndarray, mirror: np.ndarray, point: np.ndarray, direction: np.ndarray
 ) -> np.ndarray:
-    """The point of an edge, seen in a mirror or without one (-1), that lies in a direction from a point."""
+    """(n, 3) points of edges (n,), seen in mirrors or without one (-1), that lie in directions (n, 3) from a
+    point."""
     wedges, n = around.wedges, around.planes.normal[mirror]
-    start = _mirrored(around.planes, mirror, wedges.start[edge])
     line = wedges.along[edge]
-    if mirror >= 0:
-        line = line - 2.0 * (line @ n) * n
-    offset, slant = start - point, float(line @ direction)
-    # Of the points start + z line, that nearest to the ray from the point.
-    z = (slant * float(offset @ direction) - float(offset @ line)) / max(1.0 - slant * slant, 1e-12)
-    z = min(max(z, 0.0), float(wedges.length[edge]))
-    return np.asarray(wedges.start[edge] + z * wedges.along[edge])
+    start = _mirrored(around.planes, mirror, wedges.start[edge])
+    turned = np.where(mirror >= 0, _dots(line, n), 0.0)
+    seen = line - 2.0 * turned[:, None] * n
+    offset, slant = start - point, _dots(seen, direction)
+    # Of the points start + z line, those nearest to the rays from the point.
+    z = (slant * _dots(offset, direction) - _dots(offset, seen)) / np.maximum(1.0 - slant * slant, 1e-12)
+    z = np.clip(z, 0.0, wedges.length[edge])
+    return np.asarray(wedges.start[edge] + z[:, None] * line)
 
 
 @part

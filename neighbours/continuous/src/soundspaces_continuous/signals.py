@@ -35,11 +35,15 @@ class SourceSignal:
             out[low - first : high - first] = self.clip[at]
         return out
 
+    def has_begun(self, number: int, blocks: Blocks) -> bool:
+        """Whether the window of block `number` goes beyond the onset."""
+        return (number - 1) * blocks.block + blocks.window > self.onset
+
     def spectrum(self, number: int, blocks: Blocks) -> np.ndarray | None:
         """(F,) complex64 of the window of block `number`, which begins a block earlier; None if it is silent."""
         first = (number - 1) * blocks.block
         last = first + blocks.window
-        if last <= self.onset or first >= self.offset:
+        if not self.has_begun(number, blocks) or first >= self.offset:
             return None
         whole = self.onset <= first and last <= self.offset
         at = (first - self.onset) % len(self.clip) if whole else first

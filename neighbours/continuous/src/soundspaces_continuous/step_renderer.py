@@ -29,6 +29,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 import scipy.fft
 
+from soundspaces_continuous.moved_paths import Paths
 from soundspaces_continuous.signals import SourceSignal
 from soundspaces_continuous.sound_field import Place, SoundField
 from soundspaces_sim import ConfigError, Echogram
@@ -91,11 +92,6 @@ class _Packed(NamedTuple):
     fine: np.ndarray  # (g, r, m) int16, the first m
     coarse: np.ndarray  # (g, r, n - m) int8
     scale: np.ndarray  # (g, stretches) float32
-
-
-class _Pair(NamedTuple):
-    late: _Packed  # (1, 5 * 2, n): reverberation at both ears, by harmonics of the heading
-    colour: _Packed  # (paths, 1, taps): responses of its paths, arriving at 0 s
 
 
 class _Grid(NamedTuple):
@@ -182,6 +178,8 @@ class StepRenderer:
         out, after = np.zeros((2, self.block), np.float32), np.zeros((2, self.fade), np.float32)
         heard = False
         for source in sounding:
+            if not source.signal.has_begun(step, self):
+                continue  # nor is anything made for it
             late = self._late_of(source.place, listener, _harmonics(heading))
             longest = max(_longest(late), self._grids(_GRIDS).size - self._lead)
             parts = range(-(-longest // self.block))
@@ -208,7 +206,7 @@ class StepRenderer:
     ) -> list[tuple[_Packed, np.ndarray]]:
         """Reverberation of pairs, with weights (5,) of their harmonics, from a place at another."""
         return [
-            (self._pair(s, l).late, np.float32(math.sqrt(of_s * of_l)) * turn)
+            (self._late_of_pair(s, l), np.float32(math.sqrt(of_s * of_l)) * turn)
             for s, of_s in zip(source.points, source.shares, strict=True)
             for l, of_l in zip(listener.points, listener.shares, strict=True)
         ]
@@ -255,7 +253,7 @@ class StepRenderer:
         else:
             for pair, end in zip(heard.pairs, heard.ends, strict=True):
                 if end > first:
-                    _unpacked(self._pair(*pair).colour, heard.rows[first:end], colour[first:end])
+                    _unpacked(self._colour_of_pair(*pair), heard.rows[first:end], colour[first:end])
                 first = end
         paths = np.stack([gain, length * (self.rate / self.field.c) + self._ahead, further])
         _add_paths(grid, scipy.fft.rfft(colour), np.ascontiguousarray(direction), paths, self._tone)
@@ -270,22 +268,32 @@ class StepRenderer:
         found, _ = arrival_filters(energy, at, echogram.bands, self.rate, echogram.air, delay)
         return found.astype(np.float32)
 
-    def _pair(self, s: int, l: int) -> _Pair:
-        pair = self.memory.get((*self._key, s, l), lambda: self._make(s, l))["pair"].item()
-        assert isinstance(pair, _Pair)
-        return pair
+    def _late_of_pair(self, s: int, l: int) -> _Packed:
+        """(1, 5 * 2, n): reverberation between two points at both ears, by harmonics of the heading."""
+        return self._of_pair("late", s, l, lambda echogram, _: self._late(echogram, s, l))
 
-    def _make(self, s: int, l: int) -> dict[str, np.ndarray]:
-        echogram, paths = self.field.pair(s, l)
-        late = _packed(self._late(self.field.ds.rendered(without_arrivals(echogram), s, l)))
-        colour = _packed(self._colours(paths.energy, paths.length, echogram)[:, None])
-        pair = np.empty((), object)
-        pair[()] = _Pair(late, colour)
-        # The memory counts the bytes of all arrays.
-        return {"pair": pair} | {str(k): array for k, array in enumerate((*late, *colour))}
+    def _colour_of_pair(self, s: int, l: int) -> _Packed:
+        """(paths, 1, taps): responses of the paths between two points, arriving at 0 s. Made when one of them is
+        first heard: of the lighter points around a place it may be none, and none where paths are simulated."""
+        return self._of_pair(
+            "colour",
+            s,
+            l,
+            lambda echogram, paths: self._colours(paths.energy, paths.length, echogram)[:, None],
+        )
 
-    def _late(self, field: np.ndarray) -> np.ndarray:
-        """(1, 5 * 2, n) float32 of a response (9, n): both ears, by harmonics of the heading."""
+    def _of_pair(
+        self, what: str, s: int, l: int, make: Callable[[Echogram, Paths], np.ndarray]
+    ) -> _Packed:
+        return _Packed(
+            **self.memory.get(
+                (*self._key, what, s, l), lambda: _packed(make(*self.field.pair(s, l)))._asdict()
+            )
+        )
+
+    def _late(self, echogram: Echogram, s: int, l: int) -> np.ndarray:
+        """(1, 5 * 2, n) float32 reverberation of an echogram of a pair: both ears, by harmonics of the heading."""
+        field = self.field.ds.rendered(without_arrivals(echogram), s, l)
         n = field.shape[1]
         size = int(scipy.fft.next_fast_len(n + self._taps, real=True))
         both = np.empty((HARMONICS, 2, size // 2 + 1), np.complex64)
@@ -296,7 +304,9 @@ class StepRenderer:
 
 def _apart(spectra: np.ndarray) -> np.ndarray:
     """(…, 2, f) float32 of spectra (…, f): real and imaginary."""
-    return np.ascontiguousarray(np.stack([spectra.real, spectra.imag], axis=-2), np.float32)
+    out = np.empty((*spectra.shape[:-1], 2, spectra.shape[-1]), np.float32)
+    out[..., 0, :], out[..., 1, :] = spectra.real, spectra.imag
+    return out
 
 
 def _packed(samples: np.ndarray) -> _Packed:
