@@ -95,11 +95,11 @@ class _Contact(NamedTuple):
 
 
 def plane_edges(
-    vertices: np.ndarray, faces: np.ndarray, side: np.ndarray, least: float
+    vertices: np.ndarray, faces: np.ndarray, beyond: np.ndarray, least: float
 ) -> tuple[list[Candidate], list[Candidate], int]:
     """(Creases at least so many m long; borders, tried as those of a sheet and as those of either side of a body;
-    number of planes). `side` (F, 3): `side_numbers` of the faces."""
-    planes = group_planes(vertices, faces, FACES, side)
+    number of planes). `beyond` (F, 3): see `beyond_sides`."""
+    planes = group_planes(vertices, faces, FACES, beyond)
     if not _scanned(vertices[faces], planes):
         return [], [], len(planes.offset)
     sheets = _sheets(vertices, faces, planes)

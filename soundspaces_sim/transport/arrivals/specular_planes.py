@@ -72,16 +72,16 @@ class SpecularPlanes(NamedTuple):
 
 
 def group_planes(
-    vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS, side: np.ndarray | None = None
+    vertices: np.ndarray, faces: np.ndarray, grain: Grain = WALLS, beside: np.ndarray | None = None
 ) -> SpecularPlanes:
-    """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes. `side`: (F, 3) `side_numbers` of the triangles,
-    if planes are to be told apart that are small, or near each other: then noisy normals are smoothed first, and
+    """Group the triangles of a mesh ((V, 3) m, (F, 3)) into planes. `beside`: (F, 3) `beyond_sides` of the
+    triangles, if planes are to be told apart that are small, or near each other: then noisy normals are smoothed first, and
     what is not connected has planes of its own."""
     corners = corners_of(vertices, faces)
     cross = cross_products(corners)
-    apart = side is not None
-    if side is not None:
-        cross = _smoothed(cross, side)
+    apart = beside is not None
+    if beside is not None:
+        cross = _smoothed(cross, beside)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(2.0 * area, 1e-300)[:, None]
     # One sign per plane: the largest component is positive.
@@ -142,7 +142,7 @@ def group_planes(
     )
 
 
-def _smoothed(cross: np.ndarray, side: np.ndarray) -> np.ndarray:
+def _smoothed(cross: np.ndarray, beside: np.ndarray) -> np.ndarray:
     """Cross products (F, 3) of a scan's triangles, turned to the mean of those beside them, where what turns more
     counts less: noise goes, creases stay. Unchanged where most of the area is flat.
 
@@ -150,7 +150,6 @@ def _smoothed(cross: np.ndarray, side: np.ndarray) -> np.ndarray:
     """
     size = np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(size, 1e-300)[:, None]
-    beside = _beside(side)
     noisy = np.zeros(len(cross), bool)
     for other in beside.T:
         cos = np.abs(np.einsum("fi,fi->f", normal, normal[other]))
@@ -162,14 +161,6 @@ def _smoothed(cross: np.ndarray, side: np.ndarray) -> np.ndarray:
         over_rows(_turn, len(normal), beside, size, normal, turned, least=OF_THREAD)
         normal = turned
     return size[:, None] * normal
-
-
-def _beside(side: np.ndarray) -> np.ndarray:
-    """(F, 3) the triangle beyond each side, -1 where there is none or more than one."""
-    face = np.repeat(np.arange(len(side)), 3)
-    count, total = np.bincount(side.ravel()), np.bincount(side.ravel(), face)
-    other = total[side].astype(np.int64) - face.reshape(-1, 3)
-    return np.where(count[side] == 2, other, -1).astype(np.int32)
 
 
 @kernel
