@@ -191,7 +191,8 @@ class _Pieces(NamedTuple):
 def _pieces(points: np.ndarray, faces: np.ndarray, beyond: np.ndarray) -> tuple[_Pieces, float]:
     """(Those that may be on a line that is long enough; how far any is from the origin, m) of welded faces, which
     have these beyond their sides."""
-    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    a, b, c = faces.T
+    whole = (a != b) & (b != c) & (c != a)
     if not whole.all():
         faces = faces[whole]
         beyond = beyond_sides(faces, len(points))
@@ -271,9 +272,7 @@ def _cells(a: Vec3, b: Vec3, reach: float) -> tuple[float, float, float, float, 
 
 
 @part
-def _place(
-    cell: tuple[float, float, float, float, float, float], near: int, table: np.ndarray
-) -> int:
+def _place(cell: tuple[float, float, float, float, float, float], near: int, table: np.ndarray) -> int:
     """The row of a table for a cell, or for that next to it along the axes `near`, bit by bit."""
     number = 0
     for axis in range(6):
