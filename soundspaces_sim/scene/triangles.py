@@ -162,6 +162,46 @@ def side_numbers(faces: np.ndarray) -> np.ndarray:
     return unique_numbers((low * (high.max() + 1) + high).ravel())[1].reshape(-1, 3)
 
 
+@kernel
+def _find_beyond(
+    faces: np.ndarray, first: np.ndarray, sides: np.ndarray, seen: np.ndarray, out: np.ndarray
+) -> None:
+    """Fill `out` (F, 3), see `beyond_sides`, that holds -1; `first` (V + 2,) is zero before, `seen` (V, 3) -1."""
+    for f in range(len(faces)):
+        for k in range(3):
+            first[min(faces[f, k], faces[f, (k + 1) % 3]) + 2] += 1
+    for v in range(2, len(first)):
+        first[v] += first[v - 1]
+    for s in range(3 * len(faces)):  # sides by the lesser of their points
+        f, k = s // 3, s % 3
+        v = min(faces[f, k], faces[f, (k + 1) % 3]) + 1
+        sides[first[v]] = s
+        first[v] += 1
+    for v in range(len(seen)):
+        for i in range(first[v], first[v + 1]):
+            s = sides[i]
+            f, k = s // 3, s % 3
+            far = max(faces[f, k], faces[f, (k + 1) % 3])
+            one = seen[far, 1]
+            if seen[far, 0] != v:
+                seen[far, 0], seen[far, 1], seen[far, 2] = v, s, -1
+            elif seen[far, 2] < 0:
+                seen[far, 2] = s
+                out[s // 3, s % 3], out[one // 3, one % 3] = one // 3, s // 3
+            else:
+                other = seen[far, 2]
+                out[one // 3, one % 3] = out[other // 3, other % 3] = -1
+
+
+def beyond_sides(faces: np.ndarray, points: int) -> np.ndarray:
+    """(F, 3) the face, of (F, 3) rows of so many points, beyond the side from each corner to the next: -1 where
+    there is none, or more than one."""
+    out = np.full(faces.shape, -1, np.int32)
+    first, sides = np.zeros(points + 2, np.int32), np.empty(faces.size, np.int32)
+    _find_beyond(faces, first, sides, np.full((points, 3), -1, np.int32), out)
+    return out
+
+
 def pieces_of(faces: np.ndarray, points: int) -> np.ndarray:
     """(F,) number of the connected piece of each face: faces that share a corner are of one piece."""
     ends = np.concatenate([faces[:, :2], faces[:, 1:]])

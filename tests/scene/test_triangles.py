@@ -8,6 +8,7 @@ import trimesh
 
 from soundspaces_sim.scene.triangles import (
     areas,
+    beyond_sides,
     boxes,
     corners_of,
     cross_products,
@@ -86,3 +87,20 @@ def test_sides_between_the_same_points_are_one(number: int) -> None:
     far = faces + 2**40  # whose products are beyond any number
     np.testing.assert_array_equal(side_numbers(far), side_numbers(faces))
     assert side_numbers(faces[:0]).shape == (0, 3)
+
+
+def test_the_face_beyond_a_side() -> None:
+    """As side numbers have it: of sides that two faces have, the other one; of the rest, none."""
+    rng = np.random.default_rng(8)
+    for points in (4, 12, 40):
+        faces = rng.integers(0, points, (60, 3))
+        side = side_numbers(faces)
+        owner = np.repeat(np.arange(60), 3)
+        expected = np.full((60, 3), -1)
+        for f, k in np.ndindex(60, 3):
+            owners = owner[side.ravel() == side[f, k]]
+            if len(owners) == 2:
+                expected[f, k] = owners.sum() - f
+        np.testing.assert_array_equal(beyond_sides(faces, points), expected)
+        assert points < 40 or (expected >= 0).sum() > 20
+    assert beyond_sides(faces[:0], 0).shape == (0, 3)

@@ -26,15 +26,25 @@ class BoxTree(NamedTuple):
 def _morton_order(points: np.ndarray) -> np.ndarray:
     least = points.min(axis=0)
     extent = float((points.max(axis=0) - least).max())
-    cell = ((points - least) * ((2**_BITS - 1) / max(extent, 1e-300))).astype(np.int64)
-    for shift, mask in _SPREAD:
-        cell = (cell | cell << shift) & mask
-    return in_order(cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2)[1]
+    code = np.empty(len(points), np.int64)
+    _find_codes(points, least, (2**_BITS - 1) / max(extent, 1e-300), code)
+    return in_order(code)[1]
+
+
+@kernel
+def _find_codes(points: np.ndarray, least: np.ndarray, scale: float, code: np.ndarray) -> None:
+    for i in range(len(points)):
+        code[i] = 0
+        for axis in range(3):
+            cell = int((points[i, axis] - least[axis]) * scale)
+            for shift, mask in _SPREAD:
+                cell = (cell | cell << shift) & mask
+            code[i] |= cell << axis
 
 
 def in_place_order(corners: np.ndarray) -> np.ndarray:
     """(n,) rows of triangles (n, 3, 3) in an order in which those near each other in space are near in memory."""
-    return _morton_order(corners[:, 0])
+    return _morton_order(np.ascontiguousarray(corners[:, 0]))
 
 
 def make_box_tree(corners: np.ndarray) -> BoxTree:

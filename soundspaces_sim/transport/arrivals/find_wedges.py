@@ -12,6 +12,7 @@ Host code (numpy), but for the rays that find out what is closed.
 from __future__ import annotations
 
 import logging
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,10 +24,10 @@ from scipy.spatial import cKDTree
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import in_order, unique_rows
-from soundspaces_sim.core.numerics.vec3 import Vec3, divide, dot, length, put, row, scale, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, add, divide, dot, length, put, row, scale, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import side_numbers, welded_faces
+from soundspaces_sim.scene.triangles import beyond_sides, welded_faces
 from soundspaces_sim.transport.arrivals.plane_edges import Candidate, plane_edges
 from soundspaces_sim.transport.arrivals.specular_planes import OF_THREAD
 from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point, no_wedges
@@ -37,6 +38,8 @@ MIN_LENGTH = 0.3  # m
 _WELD = 4  # decimals of a metre
 _LEAST = MIN_LENGTH - 10.0**-_WELD  # m: what is as long but for what welding takes
 _COLLINEAR = 0.002  # m, how far pieces of one edge stray from its line
+_CELLS = 8  # times as wide are the cells in which such pieces are looked for
+_WIDE = 16  # rows of a table for each of them, at least
 _SLIVER = _COLLINEAR  # m; a narrower triangle has no direction, and a thinner plate is one face
 _SAME_FACE = np.deg2rad(5.0)  # between faces that are one
 _PLACES = 16  # along a fitted edge, at which it is tried whether it is known
@@ -62,16 +65,14 @@ def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
     """The wedges of a scene, the longest first, and a line that says what was found by what."""
     vertices = scene.vertices - scene.center
     points, welded = welded_faces(vertices, scene.faces, _WELD)
-    # As they are: rounded ends turn short sides out of their line.
-    points[welded] = vertices[scene.faces]
-    side = side_numbers(welded)
-    pieces = _pieces(points, welded, side)
-    del points, welded  # of a scan they are large, as `side` is
-    lines = _lines(pieces)
+    _put_as_they_are(vertices, scene.faces, welded, points)
+    beyond = beyond_sides(welded, len(points))
+    pieces, reach = _pieces(points, welded, beyond)
+    del points, welded  # of a scan they are large
+    lines = _lines(pieces, reach)
     exact = [candidate for line in lines for candidate in _wedges_of_line(pieces, line)]
     ends = np.array([_ends_of_line(pieces, line) for line in lines]).reshape(-1, 2, 3)
-    creases, borders, planes = plane_edges(vertices, scene.faces, side, MIN_LENGTH)
-    del side
+    creases, borders, planes = plane_edges(vertices, scene.faces, beyond, MIN_LENGTH)
     wedges = _tried(scene, exact)
     count, sides = len(wedges.n), float(wedges.length.sum())
     fitted = [
@@ -169,6 +170,16 @@ def _without_twins(wedges: Wedges) -> Wedges:
     return Wedges(*(column[kept] for column in wedges))
 
 
+@kernel
+def _put_as_they_are(
+    vertices: np.ndarray, faces: np.ndarray, welded: np.ndarray, points: np.ndarray
+) -> None:
+    """Put the vertices in place of rounded points: rounded ends turn short sides out of their line."""
+    for f in range(len(faces)):
+        for k in range(3):
+            put(points, welded[f, k], row(vertices, faces[f, k]))
+
+
 class _Pieces(NamedTuple):
     """Sides of triangles that are no part of a flat wall."""
 
@@ -177,56 +188,152 @@ class _Pieces(NamedTuple):
     inward: np.ndarray  # (n, 3) unit, in the triangle, normal to the side
 
 
-def _pieces(points: np.ndarray, faces: np.ndarray, side: np.ndarray) -> _Pieces:
-    """Of welded faces, whose sides have these numbers (F, 3)."""
-    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    faces, side = faces[whole], side[whole].T.ravel()
-    inward, width = np.empty((3 * len(faces), 3)), np.empty(3 * len(faces))
-    over_rows(_find_inward, len(faces), points, faces, inward, width, least=OF_THREAD)
-    count = np.bincount(side)
-    total = np.stack([np.bincount(side, w, len(count)) for w in inward.T], axis=1)
-    # Two unit vectors, x away from opposite, have a sum of length 2 sin(x / 2).
-    flat = (count == 2) & (np.linalg.norm(total, axis=1) < 2.0 * np.sin(0.5 * MIN_ANGLE))
-    flat[side[width < _SLIVER]] = False
-    keep = np.flatnonzero(~flat[side] & (width >= _SLIVER))
-    k, face = np.divmod(keep, max(len(faces), 1))
+def _pieces(points: np.ndarray, faces: np.ndarray, beyond: np.ndarray) -> tuple[_Pieces, float]:
+    """(Those that may be on a line that is long enough; how far any is from the origin, m) of welded faces, which
+    have these beyond their sides."""
+    a, b, c = faces.T
+    whole = (a != b) & (b != c) & (c != a)
+    if not whole.all():
+        faces = faces[whole]
+        beyond = beyond_sides(faces, len(points))
+    shown = np.zeros((3, len(faces)), np.bool_)
+    over_rows(_find_shown, len(faces), points, faces, beyond, shown, least=OF_THREAD)
+    table = np.zeros(_WIDE << int(np.count_nonzero(shown)).bit_length(), np.uint8)
+    reach = _drop_alone(points, faces, beyond, table, shown)
+    k, face = np.divmod(np.flatnonzero(shown), max(len(faces), 1))
+    inward = np.empty((len(k), 3))
+    over_rows(_find_inward, len(k), points, faces, face, k, inward, least=OF_THREAD)
     one, other = faces[face, k], faces[face, (k + 1) % 3]
-    return _Pieces(points[np.minimum(one, other)], points[np.maximum(one, other)], inward[keep])
+    return _Pieces(points[np.minimum(one, other)], points[np.maximum(one, other)], inward), reach
+
+
+@part
+def _side(faces: np.ndarray, f: int, k: int) -> tuple[int, int]:
+    """The rows of the ends of a triangle's side, the lesser first."""
+    one, other = faces[f, k], faces[f, (k + 1) % 3]
+    return min(one, other), max(one, other)
+
+
+@part
+def _inward(points: np.ndarray, faces: np.ndarray, f: int, k: int) -> tuple[Vec3, float]:
+    """(`_Pieces.inward` of a triangle's side; how wide the triangle is there, m)."""
+    one, other = _side(faces, f, k)
+    a = row(points, one)
+    span, off = subtract(row(points, other), a), subtract(row(points, faces[f, (k + 2) % 3]), a)
+    off = subtract(off, scale(dot(off, span) / dot(span, span), span))
+    width = length(off)
+    return divide(off, max(width, 1e-300)), width
+
+
+@kernel
+def _find_shown(
+    first: int, last: int, points: np.ndarray, faces: np.ndarray, beyond: np.ndarray, shown: np.ndarray
+) -> None:
+    """Flag the sides (3, F) of triangles that have a direction where they are no part of a flat wall."""
+    for f in range(first, last):
+        for k in range(3):
+            inward, width = _inward(points, faces, f, k)
+            shown[k, f] = width >= _SLIVER
+            g = beyond[f, k]
+            for j in range(3):
+                if width >= _SLIVER and g >= 0 and _side(faces, g, j) == _side(faces, f, k):
+                    other, across = _inward(points, faces, g, j)
+                    # Two unit vectors, x away from opposite, have a sum of length 2 sin(x / 2).
+                    bent = length(add(inward, other)) >= 2.0 * np.sin(0.5 * MIN_ANGLE)
+                    shown[k, f] = bent or across < _SLIVER
 
 
 @kernel
 def _find_inward(
-    first: int, last: int, points: np.ndarray, faces: np.ndarray, inward: np.ndarray, width: np.ndarray
+    first: int,
+    last: int,
+    points: np.ndarray,
+    faces: np.ndarray,
+    face: np.ndarray,
+    k: np.ndarray,
+    inward: np.ndarray,
 ) -> None:
-    """Fill `inward` (3 F, 3), see `_Pieces`, of all first sides, then all second and all third ones, and how
-    wide (`width`, m) the triangle is there."""
-    for f in range(first, last):
+    """Fill `_Pieces.inward` (n, 3), of sides (n,) of faces (n,)."""
+    for i in range(first, last):
+        put(inward, i, _inward(points, faces, face[i], k[i])[0])
+
+
+@part
+def _cells(a: Vec3, b: Vec3, reach: float) -> tuple[float, float, float, float, float, float]:
+    """Where the line of a side from a to b is, in cells: sides on one line are less than 1 / `_CELLS` apart in
+    each."""
+    d = subtract(b, a)
+    d = divide(d, length(d))
+    middle = scale(0.5, add(a, b))
+    wide = 1.0 / (1.01 * _COLLINEAR * _CELLS)  # what is compared is rounded to 0.01 mm
+    foot = scale(wide, subtract(middle, scale(dot(middle, d), d)))
+    d = scale(math.copysign(wide * reach, dot(d, _GENERIC)), d)
+    return d[0], d[1], d[2], foot[0], foot[1], foot[2]
+
+
+@part
+def _place(cell: tuple[float, float, float, float, float, float], near: int, table: np.ndarray) -> int:
+    """The row of a table for a cell, or for that next to it along the axes `near`, bit by bit."""
+    number = 0
+    for axis in range(6):
+        whole = math.floor(cell[axis])
+        if near >> axis & 1:
+            whole += 1 if cell[axis] - whole > 0.5 else -1
+        number = (number ^ int(whole)) * 0x1E3779B97F4A7C15
+        number ^= number >> 29
+    return number & (len(table) - 1)
+
+
+@kernel
+def _drop_alone(
+    points: np.ndarray, faces: np.ndarray, beyond: np.ndarray, table: np.ndarray, shown: np.ndarray
+) -> float:
+    """Take the flags (3, F) from sides that are short, and on whose lines no others are, but for that of the face
+    beyond: on a scan few are left. Returns how far any is from the origin, m, and 1; `table` is zero before."""
+    reach = 1.0
+    for turn in range(3):
         for k in range(3):
-            one, other = faces[f, k], faces[f, (k + 1) % 3]
-            a = row(points, min(one, other))
-            along_side = subtract(row(points, max(one, other)), a)
-            off = subtract(row(points, faces[f, (k + 2) % 3]), a)
-            off = subtract(off, scale(dot(off, along_side) / dot(along_side, along_side), along_side))
-            place = k * len(faces) + f
-            width[place] = length(off)
-            put(inward, place, divide(off, max(width[place], 1e-300)))
+            for f in range(len(faces)):
+                if not shown[k, f]:
+                    continue
+                one, other = _side(faces, f, k)
+                a, b = row(points, one), row(points, other)
+                if turn == 0:
+                    reach = max(reach, length(scale(0.5, add(a, b))) + 1.0)
+                    continue
+                cell = _cells(a, b, reach)
+                if turn == 1:
+                    place, known = _place(cell, 0, table), False
+                    for j in range(3):
+                        g = beyond[f, k]
+                        known |= 0 <= g < f and shown[j, g] and _side(faces, g, j) == (one, other)
+                    table[place] = min(table[place] + (not known), 2)
+                    continue
+                near = 0
+                for axis in range(6):
+                    inside = cell[axis] - math.floor(cell[axis])
+                    near |= (min(inside, 1.0 - inside) < 1.0 / _CELLS) << axis
+                count, some = table[_place(cell, 0, table)], near
+                while some > 0:  # all sets of these axes
+                    count += table[_place(cell, some, table)]
+                    some = (some - 1) & near
+                shown[k, f] = count > 1 or length(subtract(b, a)) > 0.9 * _LEAST
+    return reach
 
 
-def _lines(pieces: _Pieces) -> list[np.ndarray]:
-    """Rows of the pieces on each line that is long enough."""
+def _lines(pieces: _Pieces, reach: float) -> list[np.ndarray]:
+    """Rows of the pieces on each line that is long enough; no piece is further from the origin, m."""
     if len(pieces.a) == 0:
         return []
     d = pieces.b - pieces.a
     d /= np.linalg.norm(d, axis=1)[:, None]
     d *= np.where(d @ _GENERIC < 0.0, -1.0, 1.0)[:, None]
     foot = 0.5 * (pieces.a + pieces.b)
-    reach = np.linalg.norm(foot, axis=1).max() + 1.0
     foot -= (foot * d).sum(axis=1)[:, None] * d
     whole = np.empty((len(d), 6), np.int64)
     whole[:, :3], whole[:, 3:] = np.rint(d * reach * 1e5), np.rint(foot * 1e5)
     first, row = unique_rows(whole)
     key = whole[first] / 1e5
-    del foot, whole  # of a scan they are the most memory that is taken
     near = cKDTree(key).query_pairs(_COLLINEAR, output_type="ndarray")
     collinear = coo_array((np.ones(len(near), np.int8), near.T), shape=(len(key), len(key)))
     line = connected_components(collinear, directed=False)[1][row]

@@ -15,10 +15,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.vec3 import Vec3, along, cross, dot, normalize, row
-from soundspaces_sim.scene.triangles import areas
+from soundspaces_sim.scene.triangles import areas, corners_of
 from soundspaces_sim.transport.arrivals.specular_planes import (
     FACES,
     Cover,
@@ -26,9 +27,12 @@ from soundspaces_sim.transport.arrivals.specular_planes import (
     cover_at,
     drawn,
     faces_of_planes,
+    flattened,
     group_planes,
+    heights,
     in_plane,
     is_rough,
+    span,
 )
 
 _CLEAR = 4.0  # times the rms stray of a plane's corners: rays along it pass so far off
@@ -94,13 +98,14 @@ class _Contact(NamedTuple):
     length: float  # m
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # products are small: threads only wait
 def plane_edges(
-    vertices: np.ndarray, faces: np.ndarray, side: np.ndarray, least: float
+    vertices: np.ndarray, faces: np.ndarray, beyond: np.ndarray, least: float
 ) -> tuple[list[Candidate], list[Candidate], int]:
     """(Creases at least so many m long; borders, tried as those of a sheet and as those of either side of a body;
-    number of planes). `side` (F, 3): `side_numbers` of the faces."""
-    planes = group_planes(vertices, faces, FACES, side)
-    if not _scanned(vertices[faces], planes):
+    number of planes). `beyond` (F, 3): see `beyond_sides`."""
+    planes = group_planes(vertices, faces, FACES, beyond)
+    if not _scanned(vertices, faces, planes):
         return [], [], len(planes.offset)
     sheets = _sheets(vertices, faces, planes)
     creases, contacts = _creases(sheets, least)
@@ -115,15 +120,15 @@ def plane_edges(
     return creases, borders, len(sheets)
 
 
-def _scanned(corners: np.ndarray, planes: SpecularPlanes) -> bool:
+def _scanned(vertices: np.ndarray, faces: np.ndarray, planes: SpecularPlanes) -> bool:
     """Whether most of the area of planes is rough."""
     of_plane, rough, whole = planes.of_face, 0.0, 0.0
     own, start = faces_of_planes(of_plane, len(planes.offset))
     for p, (low, high) in enumerate(pairwise(start)):
-        triangles = corners[own[low:high]]
+        triangles = corners_of(vertices, faces[own[low:high]])
         area = float(areas(triangles).sum())
         whole += area
-        rough += area if is_rough(triangles @ planes.normal[p] - planes.offset[p]) else 0.0
+        rough += area if is_rough(heights(triangles, planes.normal[p]) - planes.offset[p]) else 0.0
     return whole > 0.0 and rough >= _SCANNED * whole
 
 
@@ -131,17 +136,23 @@ def _sheets(vertices: np.ndarray, faces: np.ndarray, planes: SpecularPlanes) -> 
     own, start = faces_of_planes(planes.of_face, len(planes.offset))
     out = []
     for p, (low, high) in enumerate(pairwise(start)):
-        corners = vertices[faces[own[low:high]]]
+        corners = corners_of(vertices, faces[own[low:high]])
         n, d = planes.normal[p], planes.offset[p]
-        basis = in_plane(n).T
-        flat = corners @ basis
-        corner, covered = drawn(flat, _CELL, 2.0 * _GAP)
-        stray = corners.reshape(-1, 3) @ n - d
+        basis = in_plane(n)
+        corner, covered = drawn(flattened(corners, basis), _CELL, 2.0 * _GAP)
+        stray = heights(corners, n) - d
         margin = float(np.sqrt((stray * stray).mean()))
-        rough = is_rough(stray.reshape(-1, 3))
-        flat_corners = corners.reshape(-1, 3)
-        box = np.stack([flat_corners.min(axis=0), flat_corners.max(axis=0)])
-        out.append(_Sheet(n, float(d), margin, rough, basis, corner, _closed(covered), box))
+        sheet = _Sheet(
+            n,
+            float(d),
+            margin,
+            is_rough(stray),
+            basis.T,
+            corner,
+            _closed(covered),
+            np.stack(span(corners)),
+        )
+        out.append(sheet)
     return out
 
 
