@@ -17,12 +17,14 @@ from soundspaces_sim.transport.preparation import make_model
 from tests.marks import ci_slow
 from tests.rooms import edges_alone
 from tests.scans import places_of, unlabelled
-from tests.transport.boundary_elements import Body, box
+from tests.transport.boundary_elements import Body, box, slab
 from tests.transport.edge_walks import SPEED, Walk
 from tests.transport.far_round import CASES, TABLE, far_round
 from tests.transport.test_edge_walks import levels_of
+from tests.transport.waves_in_rooms import ABSORPTION, Room, level_between
 
 _SPACING = 0.3  # m, between places of an edge
+_FIRST = 0.010  # s
 
 
 @kernel
@@ -83,15 +85,71 @@ def test_arrivals_are_the_same_with_every_seed() -> None:
         assert first == second
 
 
+def test_level_of_a_way() -> None:
+    """Three walls of 4 cm, one behind the other: sound goes over six edges with the energy of (T34e) by the length of the
+    string over them."""
+    walls = [(-1.0, 1.5), (0.0, 1.8), (1.2, 1.6)]  # m, middle and top
+    source, place = np.array([-2.5, 0.3]), np.array([2.9, 0.2])
+    corners = [(x + side, top) for x, top in walls for side in (-0.02, 0.02)]
+    leg = np.linalg.norm(np.diff([source, *corners, place], axis=0), axis=1)
+    bodies = [slab(x - 0.02, x + 0.02, top) for x, top in walls]
+    walk, straight = (
+        Walk(bodies, tuple(source), tuple(place), tuple(place)),
+        np.linalg.norm(place - source),
+    )
+    wave = SPEED / walk.frequencies()
+    near = (5.0 * wave / leg[1:-1].sum()) ** 2
+    law = 3.0 + 40.0 * (1.0 + near) / (1.0 / 3.0 + near) * (leg.sum() - straight) / wave
+    expected = 10.0 * np.log10((1.0 / law).mean(axis=1) / leg.sum())
+    np.testing.assert_allclose(levels_of(walk, place[None])[0], expected, atol=0.1)
+
+
 def test_levels_far_round() -> None:
-    """Six pairs of walls, four listeners each: rms 2, 3, 4, 5 dB in four bands, deep in the shadow, where sound is 17 to
-    50 dB below a free field."""
+    """Six pairs of walls in free air, four listeners each, deep in the shadow, where sound is 17 to 50 dB below a free
+    field: the law for rooms and towns is too loud, by 5 to 10 dB (root mean square), and nowhere 2 dB too quiet."""
     off = []
     for seed, exact in enumerate(json.loads(TABLE.read_text())):
         walk, places = far_round(seed)
         off.append(levels_of(walk, places) - np.array(exact))
     assert len(off) == CASES
-    assert (np.sqrt(np.mean(np.square(off), axis=(0, 1))) < [2.0, 3.0, 4.0, 5.5]).all(), off
+    assert (np.sqrt(np.mean(np.square(off), axis=(0, 1))) < [5.5, 6.0, 8.0, 10.5]).all(), off
+    assert np.min(off) > -2.0, off
+
+
+_BANDS = ((88.0, 176.0), (176.0, 775.0))
+
+
+@ci_slow
+@pytest.mark.parametrize("name", ["demo", "home-7003"])
+def test_first_sound_out_of_sight_against_finite_differences(name: str) -> None:
+    """Two furnished homes of one material, 3 sources by 24 listeners, those out of sight: the first 10 ms are right by 3
+    dB in the mean over pairs and by 8 dB in single ones (root mean square)."""
+    given = ss.load_scene(name)
+    scene = ss.Scene.from_arrays(given.vertices, given.faces, ABSORPTION, 0.15)
+    room = Room(scene)
+    points = room.centres(places_of(scene))
+    sources = points[[1, 10, 19]]
+    config = ss.SimulationConfig(
+        bands=(*(f for f, _ in _BANDS), _BANDS[-1][1], 3409.0), walks=1000, duration=0.1
+    )
+    echoes, off = ss.simulate(scene, sources, points, config), []
+    bins = echoes.time_edges
+    for s, source in enumerate(sources):
+        exact = room.responses(source, points, 0.06)
+        for i, response in enumerate(exact):
+            arrivals = echoes[s, i].arrivals
+            if (points[i] == source).all() or any(not a.planes and not a.edges for a in arrivals):
+                continue
+            first = min(a.delay for a in arrivals)
+            last = first + _FIRST
+            energy = sum(a.energy for a in arrivals if a.delay < last)
+            share = np.clip((last - bins[:-1]) / np.diff(bins), 0.0, 1.0)
+            energy = energy + share @ echoes.energy[s, i, :, 0]
+            level = 10.0 * np.log10(4.0 * np.pi * energy[:2] * ((points[i] - source) ** 2).sum())
+            off.append(level - [level_between(response, first, last, band) for band in _BANDS])
+    assert len(off) > 40
+    mean, spread = np.mean(off, axis=0), np.sqrt(np.mean(np.square(off), axis=0))
+    assert (np.abs(mean) < 3.0).all() and (spread < 8.0).all(), (mean, spread)
 
 
 @pytest.mark.parametrize("corner", [-0.01, 0.0, 0.006, 0.02])

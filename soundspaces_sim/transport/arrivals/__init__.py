@@ -21,12 +21,12 @@ A pair (`connect`, the one kernel), in four steps:
     most is estimated from the tables (T35), and what nobody hears beside the rest goes no further. Points that do
     not see each other also have the ways of either to the wedges that the other one sees.
  2. Geometry. Images by unfolding (`images`); Keller's cone on one edge; the shortest path by two
-    parallel lines (`two_edges`); ways are pulled taut. Rays decide what is there.
+    parallel lines (`two_edges`); a way is pulled taut. Rays decide what is there.
  3. Field. sqrt(rho (1 - s)) for every plane, (T29a). One edge: the uniform theory of diffraction,
         P ~ sum over Theta, ± of cot((pi ± Theta) / 2n) F(k L a±(Theta)) S                              (T30)
     with all four terms as one wave, in the light as in the shadow, and the share S of what comes from between the
     edge's ends (T33a): so the sum (T29) is continuous where direct sound or reflections end, at corners too. Two
-    edges of one face: exact, waves to and fro included (T34, `double_wedge`). Ways: a product of both (T34e).
+    edges of one face: exact, waves to and fro included (T34, `double_wedge`). A way: by its length alone (T34e).
  4. Sum (`waves`). An arrival of an echogram has an energy and the phase of its delay alone. So what is diffracted
     joins, as a pressure, what it arrives together with,
         P_j <- P_j + a_ij P_i e^(-jk (l_i - l_j))                                                       (T36)

@@ -62,13 +62,11 @@ from soundspaces_sim.transport.arrivals.two_edges import (
 from soundspaces_sim.transport.arrivals.waves import Path, Waves, add_wave, energy_of, fade, join, smooth
 from soundspaces_sim.transport.arrivals.ways import (
     WayScratch,
+    are_linked,
     choose_ways,
-    in_light_of,
-    is_new,
     set_way,
     solve_way,
     way_field,
-    weight_of,
 )
 from soundspaces_sim.transport.arrivals.wedges import (
     BOUNDARY_OFFSET,
@@ -144,17 +142,6 @@ def _has(waves: Waves, planes: tuple[int, int], back: bool) -> bool:
             continue
         same = waves.planes[i, 0] == planes[0] and waves.planes[i, 1] == planes[1]
         if same and waves.kind[i] != _DIRECT and back == (waves.kind[i] == MIRRORS_AND_BACK):
-            return True
-    return False
-
-
-@part
-def _has_edges(waves: Waves, edges: tuple[int, int]) -> bool:
-    """Whether sound comes by these edges alone, in either order."""
-    e, f = edges
-    for i in range(min(waves.number[0], len(waves.length))):
-        a, b = waves.wedges[i, 0], waves.wedges[i, 1]
-        if waves.planes[i, 0] < 0 and ((a == e and b == f) or (a == f and b == e)):
             return True
     return False
 
@@ -664,63 +651,32 @@ def _add_double(
 
 
 @part
-def _add_ways(
+def _add_way(
     context: Context, a: Sight, b: Sight, i: int, j: int, ends: _Ends, scratch: Scratch
 ) -> None:
-    """The shortest way round several edges that is heard, from the ways of either point to edges that the other
-    sees; with it those by an edge more, near whose shadow an end is."""
+    """Add the wave of the shortest way round several edges that is free, of the ways of either point to edges that
+    the other one sees; by one edge, or two of a face, it is there."""
     edges, way, p, q = context.edges, scratch.way, ends.p.at, ends.q.at
     of_q, of_p = row_of(b.seen, ends.v), row_of(a.seen, ends.u)
     from_p = choose_ways(edges.wedges, a.ways, i, of_q, b.seen.wedge, b.seen.phi, q, 0, way)
     from_q = choose_ways(edges.wedges, b.ways, j, of_p, a.seen.wedge, a.seen.phi, p, 1, way)
-    m = n = count = solved = 0
-    heard = False
-    while not heard and (m < from_p or n < from_q):
+    m = n = count = 0
+    length = between = 0.0
+    while count == 0 and (m < from_p or n < from_q):
         if n == from_q or (m < from_p and way.total[0, m] <= way.total[1, n]):
             count = set_way(a.ways, i, way.last[0, m], False, way)
             m += 1
         else:
             count = set_way(b.ways, j, way.last[1, n], True, way)
             n += 1
-        count, heard = _add_way(context, ends, count, solved, scratch)
-        solved += count > 0
-    if not heard:
-        return
-    first, last = way.edge[0], way.edge[count - 1]
-    for k in range(of_q[0], of_q[1]):
-        e = b.seen.wedge[k]
-        if in_light_of(edges.wedges, a.ways, i, e, last, b.seen.phi[k]):
-            count = set_way(a.ways, i, e, False, way)
-            solved += _add_way(context, ends, count, solved, scratch)[0] > 0
-    for k in range(of_p[0], of_p[1]):
-        e = a.seen.wedge[k]
-        if in_light_of(edges.wedges, b.ways, j, e, first, a.seen.phi[k]):
-            count = set_way(b.ways, j, e, True, way)
-            solved += _add_way(context, ends, count, solved, scratch)[0] > 0
-
-
-@part
-def _add_way(
-    context: Context, ends: _Ends, count: int, solved: int, scratch: Scratch
-) -> tuple[int, bool]:
-    """Solve the way at hand, and add its wave, if it is not there: (how many edges it has, 0 for one that is not
-    free or not new, whether it is heard and has not faded)."""
-    way, wedges, p, q = scratch.way, context.edges.wedges, ends.p.at, ends.q.at
-    count, length = solve_way(context.sight, context.edges, count, p, q, way)
-    if count == 0 or not is_new(count, solved, way):
-        return 0, False
+        count, length, between = solve_way(context.sight, edges, count, p, q, way)
     e, f = way.edge[0], way.edge[count - 1]
-    met = e, f if count > 1 else -1
-    if count <= 2 and _has_edges(scratch.waves, met):
-        return count, True
-    if not way_field(
-        wedges, count, p, q, length, context.spectrum, scratch.least, way, scratch.double, scratch.field
-    ):
-        return count, False
-    to_e = Leg(True, met_point(wedges, e, way.z[0]), -1)
-    to_f = Leg(True, met_point(wedges, f, way.z[count - 1]), -1)
-    _add_by_edges(context, ends, met, (to_e, to_f), length, count > 2, scratch)
-    return count, weight_of(count, way) >= 1.0
+    if count < 2 or (count == 2 and are_linked(edges.links, e, f)):
+        return
+    if way_field(length, between, distance(p, q), context.spectrum, scratch.least, scratch.field):
+        to_e = Leg(True, met_point(edges.wedges, e, way.z[0]), -1)
+        to_f = Leg(True, met_point(edges.wedges, f, way.z[count - 1]), -1)
+        _add_by_edges(context, ends, (e, f), (to_e, to_f), length, count > 2, scratch)
 
 
 @part
@@ -772,7 +728,7 @@ def _add_edges(
             _add_singles(context, a.seen, b.seen, ends, least, scratch)
             _add_doubles(context, a.seen, b.seen, ends, distance(p.at, q.at), scratch)
             if plane < 0 and not lit:
-                _add_ways(context, a, b, i, j, ends, scratch)
+                _add_way(context, a, b, i, j, ends, scratch)
         _mark(b.seen, v, scratch, False)
 
 

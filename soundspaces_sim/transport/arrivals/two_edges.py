@@ -111,7 +111,7 @@ def _on_a_face(phi: float, sector: float) -> bool:
 
 
 @part(forceinline=True)
-def on_faces(phi: tuple[float, float], sectors: tuple[float, float]) -> bool:
+def _on_faces(phi: tuple[float, float], sectors: tuple[float, float]) -> bool:
     """Whether the leg between two edges is on a face of both: its angles about them and their sectors, rad."""
     return _on_a_face(phi[0], sectors[0]) and _on_a_face(phi[1], sectors[1])
 
@@ -127,14 +127,14 @@ def face_normal(wedges: Wedges, e: int, phi: float) -> Vec3:
 
 
 @part
-def on_one_side(
+def _on_one_side(
     wedges: Wedges, edges: tuple[int, int], along: tuple[float, float], ends: tuple[float, float]
 ) -> tuple[float, float]:
     """Angles of the leg between two edges about both. A thin plate has both its faces in that direction: the leg is
     on the side of the other edge's face or, along a plate with two free edges, on that with the smaller turns."""
     sector_e, sector_f = math.pi * wedges.n[edges[0]], math.pi * wedges.n[edges[1]]
     plate_e, plate_f = sector_e > 2.0 * math.pi - ON_FACE, sector_f > 2.0 * math.pi - ON_FACE
-    if not ((plate_e or plate_f) and on_faces(along, (sector_e, sector_f))):
+    if not ((plate_e or plate_f) and _on_faces(along, (sector_e, sector_f))):
         return along
     best, least = along, math.inf
     for i in range(2):
@@ -221,7 +221,7 @@ def two_edge_path(wedges: Wedges, e: int, f: int, p: Vec3, q: Vec3) -> tuple[boo
     sector_e, sector_f = math.pi * wedges.n[e], math.pi * wedges.n[f]
     near = on_face(wedges, e, f, max(min(f_e.r, e_f.r), MIN_RADIUS))
     along = _snapped(f_e.phi, sector_e, near), _snapped(e_f.phi, sector_f, near)
-    phi_f, phi_e = on_one_side(wedges, (e, f), along, (p_e.phi, q_f.phi))
+    phi_f, phi_e = _on_one_side(wedges, (e, f), along, (p_e.phi, q_f.phi))
     inside = max(p_e.phi, phi_f) <= sector_e and max(q_f.phi, phi_e) <= sector_f
     inside &= min(p_e.r, f_e.r, q_f.r, e_f.r) >= MIN_RADIUS
     p_open = wedge_coordinates(wedges, f, p).phi <= sector_f

@@ -1,17 +1,16 @@
-"""The shortest ways round edges, up to eight: first arrivals of points far out of sight of each other.
+"""Sound out of sight: the shortest ways round edges, up to eight.
 
 A point's ways are found once for all its pairs, as navigation meshes and visibility graphs do it: edges that see
 each other are the nodes (`scene_edges`), and the shortest way to each goes on from the shortest way to another one.
 From the last edge that the other point sees, the way goes straight. Rays have found every leg free.
 
-A way by m edges is pulled taut (every edge in turn has its shortest path between the places before and after), and
-its field is Pierce's product for any number of edges, as Deygout orders them (1966, Multiple knife-edge
-diffraction of microwaves, IEEE Trans. AP 14 (4)): the edge that turns the sound most has the whole way for its
-distances, the next one its part of the way up to that edge, and so on,
+A way is pulled taut: every edge in turn has its shortest path between the places before and after. With its length
+l, the straight distance r and e between its first and its last edge, the field has what ISO 9613-2 (1996, eq. 14)
+leaves behind screens, reflections apart,
 
-    P = 1 / l * product over i of (a_i + b_i) D_i(phi, phi'; a_i, b_i).                                     (T34e)
+    |P|^2 = 1 / (l^2 (3 + 40 C (l - r) / lambda)),  C = (1 + (5 lambda / e)^2) / (1/3 + (5 lambda / e)^2).    (T34e)
 
-Two parallel edges of one face, as those of a wall, are one factor, which is exact (T34).
+It depends on how far round the way is and not on which edges a mesh has there.
 """
 
 from __future__ import annotations
@@ -22,50 +21,28 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, along, distance, dot, length, row, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, row, subtract
 from soundspaces_sim.scene.rays.geometry import unoccluded
-from soundspaces_sim.transport.arrivals.double_wedge import (
-    DoubleWedgeScratch,
-    Ends,
-    double_wedge_field,
-    set_terms,
-)
-from soundspaces_sim.transport.arrivals.field import (
-    EdgePath,
-    Spectrum,
-    beyond_end,
-    detours_of_ends,
-    field_at,
-    front_of,
-    of_end,
-    terms_of,
-)
+from soundspaces_sim.transport.arrivals.field import Spectrum
 from soundspaces_sim.transport.arrivals.images import View
-from soundspaces_sim.transport.arrivals.scene_edges import Edges, beside, is_free
-from soundspaces_sim.transport.arrivals.two_edges import MIN_RADIUS, on_faces, on_one_side, sense_of
+from soundspaces_sim.transport.arrivals.scene_edges import Edges, Links, beside, is_free
+from soundspaces_sim.transport.arrivals.two_edges import MIN_RADIUS
 from soundspaces_sim.transport.arrivals.wedges import (
-    BOUNDARY_OFFSET,
-    ON_FACE,
     Wedges,
     clear_point,
-    cosine_taper,
     edge_point,
     line_coordinates,
     met_point,
-    parallel,
     wedge_coordinates,
 )
 
 _MOST_EDGES = 8  # of a way: by more, sound is some 60 dB below a free field
 _TRIED = 4  # ways to a point, by different last edges, until one is free
-_MOST_WAYS = 8  # of a pair: the shortest one, and those by an edge more in whose light an end is
 _OF_THREAD = 8  # points whose ways are worth a thread
 _SHORTER = 1e-3  # m, by which a way must be, to be another
 _PLACES = 5  # of an edge that are tried where its nearest place is not seen
 _SWEEPS = 12  # by which a way is pulled taut
-_ALONG = 0.25  # rad, from a face, along which a way goes, or from an edge's light
 _NEAR_SHADOW = 0.5  # rad, from the boundary of its shadow, up to which an end counts as in it
-_FALLS = 0.5  # of what is heard
 
 
 class Ways(NamedTuple):
@@ -83,38 +60,19 @@ class WayScratch(NamedTuple):
 
     total: np.ndarray  # (2, _TRIED) m, of what is tried from p, and from q
     last: np.ndarray  # (2, _TRIED) edge that the other point sees
-    done: np.ndarray  # (_MOST_WAYS, _MOST_EDGES) edges of the ways that are solved, from p
     edge: np.ndarray  # (_MOST_EDGES,)
     z: np.ndarray  # (_MOST_EDGES,) m
     found: np.ndarray  # (_MOST_EDGES,) m, where rays have found the way free
-    leg: np.ndarray  # (_MOST_EDGES + 1,) m
-    angle: np.ndarray  # (_MOST_EDGES, 2) rad, about each edge, of the places before and after
-    sine: np.ndarray  # (_MOST_EDGES,) of the angle between the way and the edge
-    common: np.ndarray  # (_MOST_EDGES,) a face connects this edge with the next one
-    unit: np.ndarray  # (_MOST_EDGES,) edges of the factor that begins here: 1, 2; 0: it began one before
-    size: np.ndarray  # (_MOST_EDGES,) how much a factor matters
-    set: np.ndarray  # (_MOST_EDGES,) whether its factor is there
-    needed: np.ndarray  # (2,) it is not free without its first edge, its last one, in whose light it is
 
 
 def make_way_scratch() -> WayScratch:
     """Empty."""
-    m = _MOST_EDGES
     return WayScratch(
         total=np.empty((2, _TRIED)),
         last=np.empty((2, _TRIED), np.int64),
-        done=np.empty((_MOST_WAYS, m), np.int64),
-        edge=np.empty(m, np.int64),
-        z=np.empty(m),
-        found=np.empty(m),
-        leg=np.empty(m + 1),
-        angle=np.empty((m, 2)),
-        sine=np.empty(m),
-        common=np.empty(m, np.bool_),
-        unit=np.empty(m, np.int64),
-        size=np.empty(m),
-        set=np.empty(m, np.bool_),
-        needed=np.empty(2, np.bool_),
+        edge=np.empty(_MOST_EDGES, np.int64),
+        z=np.empty(_MOST_EDGES),
+        found=np.empty(_MOST_EDGES),
     )
 
 
@@ -207,39 +165,9 @@ def find_ways(
 
 
 @part(forceinline=True)
-def _light(n: int, scratch: WayScratch) -> float:
-    """How far a way passes in the light of an edge, rad from the boundary of its shadow."""
-    return math.pi - abs(scratch.angle[n, 1] - scratch.angle[n, 0])
-
-
-@part(forceinline=True)
-def _is_needed(n: int, count: int, scratch: WayScratch) -> bool:
-    """Whether the way is not free without an edge: in its light sound passes it, and is diffracted beside that."""
-    if n == 0:
-        return scratch.needed[0]
-    return n < count - 1 or scratch.needed[1]
-
-
-@part(forceinline=True)
-def _near_shadow(light: float, reach: float) -> float:
-    """1 in the shadow and up to half of `reach` rad in the light, from there down to 0."""
-    return cosine_taper(2.0 * max(light / reach - 0.5, 0.0))
-
-
-@part
-def weight_of(count: int, scratch: WayScratch) -> float:
-    """Of the way at hand: what is left of it in the light of its first edge and of its last one."""
-    weight = 1.0
-    for n in (0, count - 1):
-        if not _is_needed(n, count, scratch):
-            weight *= _near_shadow(_light(n, scratch), _NEAR_SHADOW)
-    return math.sqrt(weight)
-
-
-@part(forceinline=True)
 def _turn_at(wedges: Wedges, ways: Ways, i: int, e: int, phi: float) -> float:
     """By how much the way of point i turns at an edge towards what is at the angle phi about it."""
-    return abs(phi - _in_sector(ways.phi[i, e], math.pi * wedges.n[e], 0.0))
+    return abs(phi - _in_sector(wedges, e, ways.phi[i, e]))
 
 
 @part
@@ -274,15 +202,6 @@ def choose_ways(
 
 
 @part
-def in_light_of(wedges: Wedges, ways: Ways, i: int, e: int, f: int, phi: float) -> bool:
-    """Whether the way of point i by edge f goes on to e, and an end at the angle phi about e is in its light, but
-    near its shadow."""
-    if ways.before[i, e] != f:
-        return False
-    return math.pi - _NEAR_SHADOW < _turn_at(wedges, ways, i, e, phi) < math.pi
-
-
-@part
 def set_way(ways: Ways, i: int, last: int, reverse: bool, scratch: WayScratch) -> int:
     """The way of point i to an edge, into `edge` and `found`; `reverse`: from there. How many edges it has, 0 for
     one of too many."""
@@ -298,22 +217,6 @@ def set_way(ways: Ways, i: int, last: int, reverse: bool, scratch: WayScratch) -
             scratch.edge[n], scratch.edge[m] = scratch.edge[m], scratch.edge[n]
             scratch.found[n], scratch.found[m] = scratch.found[m], scratch.found[n]
     return count
-
-
-@part
-def is_new(count: int, solved: int, scratch: WayScratch) -> bool:
-    """Whether the way at hand is none of those solved; it is then row `solved` of them. No if there is no room."""
-    if solved == _MOST_WAYS:
-        return False
-    for k in range(solved):
-        same = count == _MOST_EDGES or scratch.done[k, count] < 0
-        for n in range(count):
-            same &= scratch.done[k, n] == scratch.edge[n]
-        if same:
-            return False
-    for n in range(_MOST_EDGES):
-        scratch.done[solved, n] = scratch.edge[n] if n < count else -1
-    return True
 
 
 @part
@@ -362,31 +265,13 @@ def _leave_out(n: int, count: int, scratch: WayScratch) -> None:
 
 
 @part
-def _insert(n: int, count: int, e: int, z: float, scratch: WayScratch) -> None:
-    for m in range(count, n, -1):
-        scratch.edge[m], scratch.z[m] = scratch.edge[m - 1], scratch.z[m - 1]
-    scratch.edge[n], scratch.z[n] = e, z
-
-
-@part
-def _measure(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> tuple[int, float]:
-    """Legs and angles of the way at hand: (`_set_angles`, its length, m)."""
-    total = 0.0
-    for n in range(count + 1):
-        at = _place(wedges, scratch, n, count, p, q)
-        scratch.leg[n] = distance(_place(wedges, scratch, n - 1, count, p, q), at)
-        total += scratch.leg[n]
-    return _set_angles(wedges, count, p, q, scratch), total
-
-
-@part
 def solve_way(
     view: View, edges: Edges, count: int, p: Vec3, q: Vec3, scratch: WayScratch
-) -> tuple[int, float]:
-    """Pull the way at hand taut, or leave it as rays have found it; leave out edges in whose light it passes, or
-    one of two that it meets at once, and add those of narrow faces along which it goes: (how many edges it has, its
-    length, m); 0 if something is in the way."""
-    wedges, total = edges.wedges, math.inf
+) -> tuple[int, float, float]:
+    """Pull the way at hand taut, or leave it as rays have found it, and leave out edges in whose light it passes:
+    (how many edges it has, its length, m, that between its first and its last edge); 0 if something is in the
+    way."""
+    wedges = edges.wedges
     while count > 0:
         for n in range(count):
             scratch.z[n] = scratch.found[n]
@@ -395,35 +280,31 @@ def solve_way(
             for n in range(count):
                 scratch.z[n] = scratch.found[n]
             if not _all_free(view, wedges, count, p, q, scratch):
-                return 0, math.inf
-        needless, total = _measure(wedges, count, p, q, scratch)
-        if needless < 0:
-            needless = _slack(view, wedges, count, p, q, scratch)
-        if needless < 0:
+                return 0, math.inf, 0.0
+        slack = _slack(view, wedges, count, p, q, scratch)
+        if slack < 0:
             break
-        _leave_out(needless, count, scratch)
+        _leave_out(slack, count, scratch)
         count -= 1
-    before = count
-    for n in range(_MOST_EDGES - 1):
-        if n < count - 1:
-            count = _add_face(edges, n, count, p, q, scratch)
-    if count > before:
-        _pull_taut(wedges, count, p, q, scratch)
-        needless, total = _measure(wedges, count, p, q, scratch)
-        if needless >= 0:
-            return 0, math.inf
-    return count, total
+    total = between = 0.0
+    for n in range(count + 1):
+        leg = distance(
+            _place(wedges, scratch, n - 1, count, p, q), _place(wedges, scratch, n, count, p, q)
+        )
+        total += leg
+        between += leg if 0 < n < count else 0.0
+    return count, total, between
 
 
 @part
 def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
-    """An edge in whose light the way passes, and without which it is free; -1 for none. The first and the last one
-    stay near their shadow, where the way by them fades."""
+    """An edge in whose light the way passes, and without which it is free; -1 for none."""
     edge, z = scratch.edge, scratch.z
-    scratch.needed[:] = False
     for n in range(count if count > 1 else 0):
-        inner, light = 0 < n < count - 1, _light(n, scratch)
-        if light < (_ALONG if inner else 0.0):
+        one = wedge_coordinates(wedges, edge[n], _place(wedges, scratch, n - 1, count, p, q))
+        other = wedge_coordinates(wedges, edge[n], _place(wedges, scratch, n + 1, count, p, q))
+        turn = abs(_in_sector(wedges, edge[n], one.phi) - _in_sector(wedges, edge[n], other.phi))
+        if min(one.r, other.r) > MIN_RADIUS and turn > math.pi:
             continue
         before = met_point(wedges, edge[n - 1], z[n - 1]) if n > 0 else p
         after = met_point(wedges, edge[n + 1], z[n + 1]) if n < count - 1 else q
@@ -433,269 +314,44 @@ def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: Wa
             free = _reaches(view, wedges, q, edge[n - 1], before)
         else:
             free = is_free(view.geometry, wedges, (edge[n - 1], edge[n + 1]), (before, after))
-        if free and (inner or light > _NEAR_SHADOW):
+        if free:
             return n
-        if not (inner or free):
-            scratch.needed[0 if n == 0 else 1] = True
-    return -1
-
-
-@part
-def _add_face(edges: Edges, n: int, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
-    """Add the other edge of a face along which the way leaves its edge n or comes to the next one, where that face
-    ends on the way: how many edges it then has."""
-    wedges, links, edge = edges.wedges, edges.links, scratch.edge
-    for end in range(2):
-        e, other = (edge[n], edge[n + 1]) if end == 0 else (edge[n + 1], edge[n])
-        own, to = (
-            _place(wedges, scratch, n + end, count, p, q),
-            _place(wedges, scratch, n + 1 - end, count, p, q),
-        )
-        about, sector = wedge_coordinates(wedges, e, to), math.pi * wedges.n[e]
-        phi, across = about.phi, max(about.r, MIN_RADIUS)
-        face = 0 if phi < 0.5 * sector or phi > 0.5 * sector + math.pi else 1
-        off = abs(phi - sector) if face == 1 else min(phi, 2.0 * math.pi - phi)
-        if off > _ALONG or count == _MOST_EDGES:
-            continue
-        for m in range(links.start[e], links.start[e + 1]):
-            f, far = links.wedge[m], links.width[m] / across
-            if (links.phi[m, 0] > 0.5 * sector) != (face == 1) or f == other or far > 1.0:
-                continue
-            at = along(own, far, subtract(to, own))
-            z = dot(subtract(at, row(wedges.start, f)), row(wedges.along, f))
-            if 0.0 < z < wedges.length[f]:
-                _insert(n + 1, count, f, z, scratch)
-                return count + 1
-    return count
-
-
-@part(forceinline=True)
-def _in_sector(phi: float, sector: float, near: float) -> float:
-    """An angle about an edge of what rays have found: of its face, if it is near to that, or behind it."""
-    if phi < near or phi > 0.5 * sector + math.pi:
-        return 0.0
-    return sector if phi > sector - near else phi
-
-
-@part(forceinline=True)
-def _is_less(wedges: Wedges, e: int, f: int) -> bool:
-    """Whether edge e is shorter than f: an order that does not depend on from where a way is solved."""
-    return wedges.length[e] < wedges.length[f] or (wedges.length[e] == wedges.length[f] and e < f)
-
-
-@part
-def _set_angles(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> int:
-    """Angles of the way about its edges: -1; or the lesser of two edges that it meets at once, or one on whose line
-    it begins or ends."""
-    edge, angle = scratch.edge, scratch.angle
-    for n in range(count):
-        e, sector, off = edge[n], math.pi * wedges.n[edge[n]], length(row(wedges.offset, edge[n]))
-        before = wedge_coordinates(wedges, e, _place(wedges, scratch, n - 1, count, p, q))
-        after = wedge_coordinates(wedges, e, _place(wedges, scratch, n + 1, count, p, q))
-        if min(before.r, after.r) < MIN_RADIUS:
-            other = n - 1 if before.r < MIN_RADIUS else n + 1
-            return other if 0 <= other < count and _is_less(wedges, edge[other], e) else n
-        scratch.sine[n] = min((before.r + after.r) / (scratch.leg[n] + scratch.leg[n + 1]), 1.0)
-        near_p = near_q = 0.0
-        if n > 0:
-            near_p = ON_FACE + (off + length(row(wedges.offset, edge[n - 1]))) / before.r
-        if n < count - 1:
-            near_q = ON_FACE + (off + length(row(wedges.offset, edge[n + 1]))) / after.r
-        angle[n, 0] = _in_sector(before.phi, sector, near_p)
-        angle[n, 1] = _in_sector(after.phi, sector, near_q)
-    for n in range(count - 1):
-        e, f = edge[n], edge[n + 1]
-        leg = on_one_side(wedges, (e, f), (angle[n, 1], angle[n + 1, 0]), (angle[n, 0], angle[n + 1, 1]))
-        angle[n, 1], angle[n + 1, 0] = leg
-        scratch.common[n] = on_faces(leg, (math.pi * wedges.n[e], math.pi * wedges.n[f]))
-    scratch.common[count - 1] = False
     return -1
 
 
 @part(forceinline=True)
-def _is_face(wedges: Wedges, n: int, count: int, scratch: WayScratch) -> bool:
-    """Whether the way's edge n and its next one are the parallel edges of a face along which it goes."""
-    if n + 1 >= count or max(_light(n, scratch), _light(n + 1, scratch)) > _NEAR_SHADOW:
-        return False
-    return scratch.common[n] and parallel(wedges, scratch.edge[n], scratch.edge[n + 1])
+def _in_sector(wedges: Wedges, e: int, phi: float) -> float:
+    """An angle about an edge, or that of the face behind which it is."""
+    sector = math.pi * wedges.n[e]
+    return 0.0 if phi > 0.5 * sector + math.pi else min(phi, sector)
 
 
 @part
-def _set_units(wedges: Wedges, count: int, scratch: WayScratch) -> None:
-    """Which edges are one factor, and how much each factor matters: the square of its turn beyond the boundary of
-    its shadow, times what both parts of the way make of it."""
-    n = 0
-    while n < count:
-        both = _is_face(wedges, n, count, scratch)
-        # Of two faces with a common edge, that whose edges turn the sound more.
-        if both and _is_face(wedges, n + 1, count, scratch):
-            both = _light(n, scratch) <= _light(n + 2, scratch)
-        scratch.unit[n] = 2 if both else 1
-        if both:
-            scratch.unit[n + 1] = 0
-        n += scratch.unit[n]
-    for n in range(count):
-        before = after = turn = 0.0
-        for m in range(count + 1):
-            if m <= n:
-                before += scratch.leg[m]
-            elif m >= n + scratch.unit[n]:
-                after += scratch.leg[m]
-        for m in range(n, n + scratch.unit[n]):
-            turn += max(-_light(m, scratch), 0.0)
-        scratch.size[n] = turn * turn * before * after / (before + after)
-        scratch.set[n] = False
-
-
-@part
-def _legs_of(count: int, n: int, scratch: WayScratch) -> tuple[float, float]:
-    """Lengths of the way before a factor and after it, up to the next ones that are there."""
-    before, m = scratch.leg[n], n - 1
-    while m >= 0 and not scratch.set[m]:
-        before += scratch.leg[m]
-        m -= 1
-    m = n + scratch.unit[n]
-    after = scratch.leg[m]
-    while m < count and not scratch.set[m]:
-        m += 1
-        after += scratch.leg[m]
-    return before, after
-
-
-@part(forceinline=True)
-def _beyond(phi: float, towards: float) -> float:
-    """An angle that is not in the light of what is at `towards`."""
-    return towards + math.copysign(max(abs(phi - towards), math.pi + BOUNDARY_OFFSET), phi - towards)
-
-
-@part(forceinline=True)
-def _is_passed(n: int, count: int, scratch: WayScratch) -> bool:
-    """Whether the way only goes by an edge, well in its light, as where something stands out of a rough wall."""
-    return 0 < n < count - 1 and _light(n, scratch) > _ALONG
-
-
-@part
-def _multiply(
-    wedges: Wedges,
-    count: int,
-    n: int,
-    spectrum: Spectrum,
-    scratch: WayScratch,
-    double: DoubleWedgeScratch,
-) -> None:
-    """Multiply the wave by a factor."""
-    (before, after), angle, e = _legs_of(count, n, scratch), scratch.angle, scratch.edge[n]
-    half = 0.5 if scratch.common[n] else 1.0
-    if scratch.unit[n] == 2:
-        f, sine, axis = scratch.edge[n + 1], scratch.sine[n], row(wedges.along, e)
-        w = scratch.leg[n + 1] * sine
-        ends = Ends(wedges.n[e], wedges.n[f], before * sine, after * sine, 0.0, 0.0, w)
-        first = angle[n, 0] if n == 0 else _beyond(angle[n, 0], angle[n, 1])
-        last = angle[n + 1, 1] if n + 2 == count else _beyond(angle[n + 1, 1], angle[n + 1, 0])
-        set_terms(wedges.n[e], first, angle[n, 1], sense_of(wedges, e, axis), double.p_e)
-        set_terms(wedges.n[f], last, angle[n + 1, 0], sense_of(wedges, f, axis), double.q_f)
-        root = math.sqrt((before + after) * sine + w)
-        half = 0.5 if scratch.common[n + 1] else 1.0
-        for m in range(len(spectrum.node)):
-            double.wave[m] *= half * root * double_wedge_field(ends, spectrum.node[m] * sine, double)
-        return
-    light, passes, goes_by = _light(n, scratch), 0.0, _is_passed(n, count, scratch)
-    if light > 0.0 and _is_needed(n, count, scratch):
-        passes = _near_shadow(light, 2.0 * _NEAR_SHADOW)
-    if goes_by and passes == 1.0:
-        return
-    one, other, sector, on = angle[n, 0], angle[n, 1], math.pi * wedges.n[e], math.inf
-    plus, on_face = one + other, min(one, other) == 0.0 or max(one, other) == sector
-    waves = 2.0 if on_face else 1.0  # what the face reflects passes too
-    path = EdgePath(
-        wedges.n[e], abs(other - one), plus, 2.0 * sector - plus, before, after, scratch.sine[n], 0.5, 1.0,
-        on, on, 1.0,
-    )  # fmt: skip
-    front = front_of(path, terms_of(path))
-    for m in range(len(spectrum.node)):
-        turned = (before + after) * field_at(path, front, spectrum.node[m], (1.0, 1.0))
-        if goes_by:
-            double.wave[m] *= passes + (1.0 - passes) * half * turned
-        else:
-            double.wave[m] *= half * (waves * passes + turned)
-
-
-@part
-def _narrowest(
-    wedges: Wedges, count: int, p: Vec3, q: Vec3, total: float, scratch: WayScratch
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Of the edge whose end is nearest to the way, or farthest from it where the way is drawn to an end: detours by
-    both its ends, m, beyond the shortest path by its line, the rest of the way unfolded; -1 for an end beyond which
-    that path is, else 1."""
-    least, before = math.inf, 0.0
-    found, sides = (math.inf, math.inf), (1.0, 1.0)
-    for n in range(count):
-        before += scratch.leg[n]
-        e, z, after = scratch.edge[n], scratch.z[n], total - before
-        z_p, r_p = line_coordinates(wedges, e, _place(wedges, scratch, n - 1, count, p, q))
-        z_q, r_q = line_coordinates(wedges, e, _place(wedges, scratch, n + 1, count, p, q))
-        s, t = before / scratch.leg[n], after / scratch.leg[n + 1]
-        ends, legs = (z + s * (z_p - z), z + t * (z_q - z)), (s * r_p, t * r_q)
-        apex = ends[0] + (ends[1] - ends[0]) * legs[0] / (legs[0] + legs[1])
-        shortest = math.hypot(legs[0] + legs[1], ends[1] - ends[0])
-        both = detours_of_ends(wedges.length[e], legs, ends, shortest)
-        side = -1.0 if apex < 0.0 else 1.0, -1.0 if apex > wedges.length[e] else 1.0
-        by = (
-            math.inf if wedges.stands[e, 0] and min(ends) > 0.0 else both[0],
-            math.inf if wedges.stands[e, 1] and max(ends) < wedges.length[e] else both[1],
-        )
-        nearest = min(by[0] * side[0], by[1] * side[1])
-        if nearest < least and not _is_passed(n, count, scratch):
-            least, found, sides = nearest, by, side
-    return found, sides
+def are_linked(links: Links, e: int, f: int) -> bool:
+    """Whether a face connects two edges."""
+    for n in range(links.start[e], links.start[e + 1]):
+        if links.wedge[n] == f:
+            return True
+    return False
 
 
 @part
 def way_field(
-    wedges: Wedges,
-    count: int,
-    p: Vec3,
-    q: Vec3,
-    total: float,
+    length: float,
+    between: float,
+    straight: float,
     spectrum: Spectrum,
     least: np.ndarray,
-    scratch: WayScratch,
-    double: DoubleWedgeScratch,
     field: np.ndarray,
 ) -> bool:
-    """(T34e) of the way at hand, of this length, 1/m, into `field` (b, g), without the phase of its length; at most
-    twice the free field. Whether it has at least `least` (b,) of |p|² in some band."""
-    _set_units(wedges, count, scratch)
-    for m in range(len(spectrum.node)):
-        double.wave[m] = 1.0 / total
-    for _ in range(count):
-        chosen, most = -1, -1.0
-        for n in range(count):
-            if scratch.unit[n] > 0 and not scratch.set[n] and scratch.size[n] > most:
-                chosen, most = n, scratch.size[n]
-        if chosen < 0:
-            break
-        _multiply(wedges, count, chosen, spectrum, scratch, double)
-        scratch.set[chosen] = True
-        if scratch.unit[chosen] == 2:
-            scratch.set[chosen + 1] = True
-    weight = weight_of(count, scratch)
-    (start, end), sides = _narrowest(wedges, count, p, q, total, scratch)
-    drawn = start if sides[0] < 0.0 else end if sides[1] < 0.0 else 0.0  # to an end, by so much
-    boundary, loud = max(total - distance(p, q), 0.0), False
+    """(T34e) of a way of this length, with so much between its first and its last edge, m, for ends this far apart:
+    1/m, into `field` (b, g). Whether it has at least `least` (b,) of |p|² in some band."""
+    detour, loud = max(length - straight, 0.0), False
     for b in range(field.shape[0]):
-        first, number = spectrum.first[b], spectrum.between.shape[2]
         for g in range(field.shape[1]):
-            k, u = spectrum.k[b, g], 0j
-            for n in range(number):
-                u += spectrum.between[b, g, n] * double.wave[first + n]
-            share = sides[0] * of_end(beyond_end(k, start), start, boundary)
-            share += sides[1] * of_end(beyond_end(k, end), end, boundary)
-            u *= 0.5 * weight * share * complex(math.cos(k * drawn), math.sin(k * drawn))
-            size = 0.5 * total * math.sqrt(u.real**2 + u.imag**2)
-            field[b, g] = u / size if size > 1.0 else u
-        own = field[b, 0].real ** 2 + field[b, 0].imag ** 2
-        loud = loud or own > least[b]
-        if not loud and own < _FALLS * least[b]:
-            return False
+            wave = 2.0 * math.pi / spectrum.k[b, g]
+            near = (5.0 * wave) ** 2
+            several = (between * between + near) / (between * between / 3.0 + near)
+            field[b, g] = 1.0 / (length * math.sqrt(3.0 + 40.0 * several * detour / wave))
+        loud = loud or field[b, 0].real ** 2 > least[b]
     return loud
