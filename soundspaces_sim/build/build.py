@@ -126,6 +126,11 @@ def _open_all(
     """Plan all scenes and open their folders. Of several, what was prepared is not kept in memory."""
     opened: list[Prepared] = []
     expected = []
+
+    def told(points: int) -> None:
+        if progress is not None:
+            progress(BuildProgress(f"Measuring {points} points", 0, 0, 0))
+
     for scene in scenes:
         with stage("scene"):
             loaded = scene() if callable(scene) else load_scene(scene)
@@ -135,7 +140,7 @@ def _open_all(
         prepared = open_dataset_job(loaded, folder, config, points, command, progress)
         if announce is not None and prepared.job is not None and not prepared.whole:
             with stage("forecast"):
-                expected.append(estimate(prepared.job))
+                expected.append(estimate(prepared.job, told))
         if len(scenes) > 1:
             prepared = replace(prepared, job=None)
         opened.append(prepared)

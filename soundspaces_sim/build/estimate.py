@@ -74,8 +74,8 @@ class Cost:
         return min(least, self.seconds(tile))
 
 
-def estimate(job: Job) -> Estimate:
-    """Measure a few pairs of a job, chosen over all its points.
+def estimate(job: Job, tell: Callable[[int], None] | None = None) -> Estimate:
+    """Measure a few pairs of a job, chosen over all its points; `tell` as `measure` has it.
 
     The larger tile has at most a tenth of the points, but `_LEAST`; where that is more than half: nan seconds.
     """
@@ -87,7 +87,7 @@ def estimate(job: Job) -> Estimate:
         return Estimate(count, count**2, draft.duration, 0, float("nan"))
     threads = thread_count()
     # Processor time, for the clock on the wall also tells what else the machine does during a short measurement.
-    cost = measure(job, (most // 4, most), BUDGET_S, lambda: time.process_time() / threads)
+    cost = measure(job, (most // 4, most), BUDGET_S, lambda: time.process_time() / threads, tell)
     shape = choose_shape(threads, free_memory(), len(left))
     parts: Sequence[PointBlocks | Square] = [job.plan.tiles[n] for n in left]
     if shape.processes == 1:  # which simulates tiles as one

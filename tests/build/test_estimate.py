@@ -19,8 +19,12 @@ def test_a_forecast_is_of_processor_time(tmp_path: Path, monkeypatch: pytest.Mon
     config = ss.JobConfig(simulation=plain(walks=64, duration=0.2))
     points = np.array([[x, y, 1.5] for x in np.arange(0.5, 5.5, 1.0) for y in np.arange(0.5, 4.5, 1.0)])
     job, _ = plan_job(box((6.0, 5.0, 3.0), walls(0.2, 0.3)), tmp_path, config, points)
+    told: list[int] = []
     real = time.perf_counter
-    quiet = estimate.estimate(job).seconds
+    quiet = estimate.estimate(job, told.append).seconds
+    assert told[0] == told[1] > 1 and told == sorted(
+        told
+    )  # who waits is told; the first tile is made twice
     monkeypatch.setattr(time, "perf_counter", lambda: 1000.0 * real())
     assert estimate.estimate(job).seconds < 10.0 * quiet
 
