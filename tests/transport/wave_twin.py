@@ -7,68 +7,54 @@ on its two sides, a body those to its own cells. The grid has no end that absorb
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel
 
 SPEED = 343.0
 STEP = 0.07  # m: ten points per wave at 500 Hz
+OPEN = np.uint8(63)  # all sides of a cell
+_RIGID = np.ones(7, np.float32)
 
 
 @kernel(fastmath=True)
-def _advance(p, before, at, open_):  # type: ignore[no-untyped-def]
-    """Put the next pressure into `before`, from those of two instants."""
+def advance(p, before, links, keep, over):  # type: ignore[no-untyped-def]
+    """Put the next pressure into `before`: bits 2a and 2a + 1 of `links` are a cell's open sides down and up axis a,
+    `keep` and `over` (7,) what walls on so many others take."""
+    third = np.float32(1.0 / 3.0)
     for i in range(1, p.shape[0] - 1):
         for j in range(1, p.shape[1] - 1):
             for k in range(1, p.shape[2] - 1):
-                here = p[i, j, k]
-                flow = p[i, j - 1, k] + p[i, j + 1, k] + p[i, j, k - 1] + p[i, j, k + 1] - 4.0 * here
-                if i != at or open_[j, k]:
-                    flow += p[i - 1, j, k] - here
-                if i != at - 1 or open_[j, k]:
-                    flow += p[i + 1, j, k] - here
-                before[i, j, k] = 2.0 * here - before[i, j, k] + flow / 3.0
-
-
-@kernel(fastmath=True)
-def _advance_past(p, before, solid):  # type: ignore[no-untyped-def]
-    """`_advance` past bodies: cells that are `solid`."""
-    for i in range(1, p.shape[0] - 1):
-        for j in range(1, p.shape[1] - 1):
-            for k in range(1, p.shape[2] - 1):
-                if solid[i, j, k]:
-                    continue
-                here, flow = p[i, j, k], 0.0
-                for step in (-1, 1):
-                    if not solid[i + step, j, k]:
-                        flow += p[i + step, j, k] - here
-                    if not solid[i, j + step, k]:
-                        flow += p[i, j + step, k] - here
-                    if not solid[i, j, k + step]:
-                        flow += p[i, j, k + step] - here
-                before[i, j, k] = 2.0 * here - before[i, j, k] + flow / 3.0
-
-
-Advance = Callable[[np.ndarray, np.ndarray], None]
+                here, flow, cut, open_ = p[i, j, k], np.float32(0.0), 6, links[i, j, k]
+                if open_ & 1:
+                    flow, cut = flow + p[i - 1, j, k] - here, cut - 1
+                if open_ & 2:
+                    flow, cut = flow + p[i + 1, j, k] - here, cut - 1
+                if open_ & 4:
+                    flow, cut = flow + p[i, j - 1, k] - here, cut - 1
+                if open_ & 8:
+                    flow, cut = flow + p[i, j + 1, k] - here, cut - 1
+                if open_ & 16:
+                    flow, cut = flow + p[i, j, k - 1] - here, cut - 1
+                if open_ & 32:
+                    flow, cut = flow + p[i, j, k + 1] - here, cut - 1
+                last = keep[cut] * before[i, j, k]
+                before[i, j, k] = (np.float32(2.0) * here - last + flow * third) * over[cut]
 
 
 def _responses(
-    advance: Advance,
-    shape: tuple[int, int, int],
+    links: np.ndarray,
     source: tuple[int, ...],
     places: np.ndarray,
     until: float,
 ) -> np.ndarray:
     """(places, steps) pressures after a pulse in one cell, up to `until` s."""
-    p = np.zeros(shape, np.float32)
+    p = np.zeros(links.shape, np.float32)
     before = p.copy()
     p[source] = 1.0
     out = np.zeros((len(places), round(until / time_step())))
     for n in range(out.shape[1]):
-        advance(p, before)
+        advance(p, before, links, _RIGID, _RIGID)
         p, before = before, p
         out[:, n] = p[tuple(places.T)]
     return out
@@ -80,22 +66,19 @@ def time_step() -> float:
 
 
 def _relative(
-    both: tuple[Advance, Advance],
-    shape: tuple[int, int, int],
+    links: np.ndarray,
     source: tuple[int, ...],
     places: np.ndarray,
     until: float,
     frequency: np.ndarray,
 ) -> np.ndarray:
-    """(places, bands) dB: mean square by the first way of advancing over that by the second."""
+    """(places, bands) dB: mean square with these links over that with all of them."""
     phase = np.exp(
         -2j * np.pi * frequency[..., None] * np.arange(round(until / time_step())) * time_step()
     )
     power = [
-        (
-            np.abs(_responses(advance, shape, source, places, until) @ np.moveaxis(phase, -1, 1)) ** 2
-        ).mean(axis=2)
-        for advance in both
+        (np.abs(_responses(given, source, places, until) @ np.moveaxis(phase, -1, 1)) ** 2).mean(axis=2)
+        for given in (links, np.full_like(links, OPEN))
     ]
     return np.asarray(10.0 * np.log10(power[0] / power[1]).T)
 
@@ -110,8 +93,10 @@ def relative_levels(
     frequency: np.ndarray,
 ) -> np.ndarray:
     """(places, bands) dB: mean square with the screen over that without, over frequencies (bands, m)."""
-    both = partial(_advance, at=at, open_=open_), partial(_advance, at=at, open_=np.ones_like(open_))
-    return _relative(both, shape, source, places, until, frequency)
+    links = np.full(shape, OPEN, np.uint8)
+    links[at][~open_] &= np.uint8(62)
+    links[at - 1][~open_] &= np.uint8(61)
+    return _relative(links, source, places, until, frequency)
 
 
 def levels_past(
@@ -122,5 +107,8 @@ def levels_past(
     frequency: np.ndarray,
 ) -> np.ndarray:
     """`relative_levels` past bodies, where cells are `solid`."""
-    both = partial(_advance_past, solid=solid), partial(_advance_past, solid=np.zeros_like(solid))
-    return _relative(both, solid.shape, source, places, until, frequency)
+    links = np.where(solid, np.uint8(0), OPEN)
+    for axis in range(3):
+        for side, step in ((1, 1), (2, -1)):
+            links[np.roll(solid, step, axis)] &= np.uint8(63 - (side << 2 * axis))
+    return _relative(links, source, places, until, frequency)

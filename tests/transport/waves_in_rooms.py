@@ -12,9 +12,8 @@ import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 import soundspaces_sim as ss
-from soundspaces_sim.core.numerics.kernel import kernel
+from tests.transport.wave_twin import OPEN, SPEED, advance
 
-SPEED = 343.0
 STEP = 0.045  # m: ten points per wave at 760 Hz
 ADMITTANCE = 0.05
 #: absorption at random incidence of that (Kuttruff, Room Acoustics, the integral over angles)
@@ -26,34 +25,10 @@ _TIME_STEP = STEP / SPEED / np.sqrt(3.0)
 _FREE = 3.0 * STEP / (4.0 * np.pi)  # m, |P| r of a pulse
 
 
-@kernel(fastmath=True)
-def _advance(p, before, links, keep, over):  # type: ignore[no-untyped-def]
-    """Put the next pressure into `before`; `keep` and `over` by how many links of a cell are cut."""
-    for i in range(1, p.shape[0] - 1):
-        for j in range(1, p.shape[1] - 1):
-            for k in range(1, p.shape[2] - 1):
-                here, flow, cut, open_ = p[i, j, k], np.float32(0.0), 0, links[i, j, k]
-                for side in range(6):
-                    if not (open_ >> side) & 1:
-                        cut += 1
-                        continue
-                    step, axis = (side & 1) * 2 - 1, side >> 1
-                    if axis == 0:
-                        flow += p[i + step, j, k] - here
-                    elif axis == 1:
-                        flow += p[i, j + step, k] - here
-                    else:
-                        flow += p[i, j, k + step] - here
-                third = flow * np.float32(1.0 / 3.0)
-                before[i, j, k] = (np.float32(2.0) * here - keep[cut] * before[i, j, k] + third) * over[
-                    cut
-                ]
-
-
 def _cut_links(scene: ss.Scene, low: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """Bits 2a and 2a + 1 of a cell: its links down and up axis a."""
+    """Of each cell, as `advance` has them."""
     rays = RayMeshIntersector(trimesh.Trimesh(scene.vertices, scene.faces, process=False))
-    links = np.full(shape, 63, np.uint8)
+    links = np.full(shape, OPEN, np.uint8)
     for axis in range(3):
         ends = [1 if a == axis else int(shape[a]) for a in range(3)]
         lines = np.indices(ends).reshape(3, -1).T
@@ -99,7 +74,7 @@ class Room:
         out = np.empty((len(points), round(until / _TIME_STEP)))
         for n in range(out.shape[1]):
             out[:, n] = p[tuple(cells.T)]
-            _advance(p, before, self._links, keep, over)
+            advance(p, before, self._links, keep, over)
             p, before = before, p
         return np.asarray(out * (np.linalg.norm(points - source, axis=1)[:, None] / _FREE))
 

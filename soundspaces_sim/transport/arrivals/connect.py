@@ -670,8 +670,10 @@ def _add_way(
             count = set_way(b.ways, j, way.last[1, n], True, way)
             n += 1
         count, length, between = solve_way(context.sight, edges, count, p, q, way)
+    if count < 2:
+        return
     e, f = way.edge[0], way.edge[count - 1]
-    if count < 2 or (count == 2 and are_linked(edges.links, e, f)):
+    if count == 2 and are_linked(edges.links, e, f):
         return
     if way_field(length, between, distance(p, q), context.spectrum, scratch.least, scratch.field):
         to_e = Leg(True, met_point(edges.wedges, e, way.z[0]), -1)

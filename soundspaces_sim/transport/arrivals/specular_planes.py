@@ -163,7 +163,7 @@ def _smoothed(cross: np.ndarray, beside: np.ndarray) -> np.ndarray:
 
 
 def _made_unit(vectors: np.ndarray) -> np.ndarray:
-    """The lengths of vectors (n, 3), that are one from now on."""
+    """Scale vectors (n, 3) to a length of one, in place; their lengths before."""
     size = np.empty(len(vectors))
     over_rows(_make_unit, len(vectors), vectors, size, least=OF_THREAD)
     return size

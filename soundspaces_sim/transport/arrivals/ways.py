@@ -36,7 +36,7 @@ from soundspaces_sim.transport.arrivals.wedges import (
     wedge_coordinates,
 )
 
-_MOST_EDGES = 8  # of a way: by more, sound is some 60 dB below a free field
+_MOST_EDGES = 8  # of a way
 _TRIED = 4  # ways to a point, by different last edges, until one is free
 _OF_THREAD = 8  # points whose ways are worth a thread
 _SHORTER = 1e-3  # m, by which a way must be, to be another
