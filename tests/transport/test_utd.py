@@ -213,7 +213,15 @@ def test_the_shortest_path_by_two_parallel_lines() -> None:
         face /= np.linalg.norm(face, axis=1)[:, None]
         two, p, q = np.full(2, 2.0), *rng.uniform(-3.0, 3.0, (2, 3))
         lines = Wedges(
-            start, along, two, face, np.cross(along, face), two, 0.0 * start, np.zeros((2, 2), bool)
+            start,
+            along,
+            two,
+            face,
+            np.cross(along, face),
+            two,
+            0.0 * start,
+            0.0 * start,
+            np.zeros((2, 2), bool),
         )
         found = np.empty(2)
         _shortest(lines, p, q, found)

@@ -75,6 +75,8 @@ from soundspaces_sim.transport.arrivals.wedges import (
     boundary_tolerance,
     cosine_taper,
     cuts_of,
+    edge_point,
+    met_edge,
     met_point,
 )
 from soundspaces_sim.transport.bsdf.surface import specular_reflectance
@@ -490,6 +492,8 @@ def _add_single(
     from_q = leg_to(context.sight, q, at)
     if not from_q.free:
         return
+    at = met_edge(wedges, e, path.apex)
+    from_p, from_q = _towards(from_p, p, at), _towards(from_q, q, at)
     leave_s, leave_r = _leaves(context.edges, e, path, s), _leaves(context.edges, e, path, r)
     for b in range(len(least)):
         mirror = _mirror(context, e, path, cos, b)
@@ -500,6 +504,12 @@ def _add_single(
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
     _add_by_edges(context, ends, (e, -1), (from_p, from_q), length, False, scratch)
+
+
+@part(forceinline=True)
+def _towards(leg: Leg, end: End, at: Vec3) -> Leg:
+    """A leg that ends on an edge, where rays end off it."""
+    return leg if end.plane >= 0 else Leg(leg.free, at, leg.triangle)
 
 
 @part
@@ -641,10 +651,11 @@ def _add_double(
         return
     if not two_edge_field(wedges, x, spectrum, scratch.least, scratch.double, scratch.field):
         return
+    met_e, met_f = met_edge(wedges, e, x.z_e), met_edge(wedges, f, x.z_f)
     if meets_both(wedges, x):
-        from_p = Leg(True, x.at_e if p.plane < 0 else from_p.towards, from_p.triangle)
-        from_q = Leg(True, x.at_f if q.plane < 0 else from_q.towards, from_q.triangle)
+        from_p, from_q = _towards(from_p, p, x.at_e), _towards(from_q, q, x.at_f)
     else:
+        from_p, from_q = _towards(from_p, p, met_e), _towards(from_q, q, met_f)
         longer = distance(p.at, met_e) + distance(met_e, met_f) + distance(met_f, q.at)
         length = _turned(scratch.field, spectrum, length, longer)
     _add_by_edges(context, ends, (e, f), (from_p, from_q), length, False, scratch)
@@ -676,8 +687,8 @@ def _add_way(
     if count == 2 and are_linked(edges.links, e, f):
         return
     if way_field(length, between, distance(p, q), context.spectrum, scratch.least, scratch.field):
-        to_e = Leg(True, met_point(edges.wedges, e, way.z[0]), -1)
-        to_f = Leg(True, met_point(edges.wedges, f, way.z[count - 1]), -1)
+        to_e = Leg(True, edge_point(edges.wedges, e, way.z[0]), -1)
+        to_f = Leg(True, edge_point(edges.wedges, f, way.z[count - 1]), -1)
         _add_by_edges(context, ends, (e, f), (to_e, to_f), length, count > 2, scratch)
 
 

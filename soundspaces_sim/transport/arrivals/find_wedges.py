@@ -50,7 +50,8 @@ _ROUGH = 0.005  # m: an edge that strays more has places closed by noise
 _FITS = 0.7  # of a fitted edge's offset: a face strays less from its plane
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _MOST_STEPS = 20_000_000  # along all edges
-_AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
+_AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector, or of an edge
+_CLEAR = 0.03  # m, off an edge: sound passes what is in the way of a ray by less
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
 
@@ -81,6 +82,7 @@ def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
     ]
     wedges = _joined(wedges, _without_twins(_joined(*fitted)))
     over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
+    over_rows(_move_clear, len(wedges.n), scene.geometry, wedges)
     text = (
         f"{len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides of "
         f"triangles on one line, {len(wedges.n) - count} by {planes} planes fitted to the mesh"
@@ -100,7 +102,9 @@ def _tried(scene: Scene, candidates: list[Candidate]) -> Wedges:
     bisector = np.cos(half) * face + np.sin(half) * normal
     offset = (scene.geometry.epsilon + margin + 10.0**-_WELD)[:, None] * bisector
     stands = np.zeros((len(n), 2), np.bool_)
-    return _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, stands))
+    return _open_parts(
+        scene, Wedges(start, along, length, face, normal, n, offset, offset.copy(), stands)
+    )
 
 
 def _longest_first(wedges: Wedges) -> Wedges:
@@ -166,7 +170,7 @@ def _without_twins(wedges: Wedges) -> Wedges:
                 n[k] = 2.0
                 start[k] -= 0.5 * thick[i] * normal[i]
                 offset[k] = -np.linalg.norm(offset[k]) * face[i]
-    wedges = wedges._replace(n=n, start=start, offset=offset)
+    wedges = wedges._replace(n=n, start=start, offset=offset, clear=offset.copy())
     return Wedges(*(column[kept] for column in wedges))
 
 
@@ -484,6 +488,20 @@ def _try_ends(first: int, last: int, geometry: Geometry, wedges: Wedges, stands:
                 at = _point_about(wedges, e, edge_point(wedges, e, z), share * np.pi * wedges.n[e])
                 if cast_ray(geometry, at, outward, inset + _STEP)[1] < 0:
                     stands[e, end] = False
+
+
+@kernel
+def _move_clear(first: int, last: int, geometry: Geometry, wedges: Wedges) -> None:
+    """Move `wedges.clear` out to `_CLEAR` where nothing is between, along the whole edge."""
+    for e in range(first, last):
+        off = row(wedges.offset, e)
+        far = scale(max(_CLEAR / length(off), 1.0), off)
+        free = True
+        for share in _AROUND:
+            at = edge_point(wedges, e, share * wedges.length[e])
+            free &= unoccluded(geometry, add(at, off), add(at, far))
+        if free:
+            put(wedges.clear, e, far)
 
 
 def _open_parts(scene: Scene, wedges: Wedges) -> Wedges:

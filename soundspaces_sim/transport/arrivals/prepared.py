@@ -24,6 +24,7 @@ _WEDGES = {
     "normal": "f8 E 3",
     "n": "f8 E",
     "offset": "f8 E 3",
+    "clear": "f8 E 3",
     "stands": "b1 E 2",
 }
 _MUTUAL = {"start": "i8 E1", "wedge": "i8 n", "phi": "f8 n 2", "reverse": "i8 n"}

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.vec3 import Vec3, along, dot, length, negate, row, subtract
+from soundspaces_sim.core.numerics.vec3 import Vec3, along, dot, negate, row, subtract
 from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.transport.arrivals.wedges import OFF_LINE, ON_FACE, Wedges, clear_point, edge_point
@@ -20,7 +20,6 @@ _LEAST_WIDTH = 1e-6  # m
 _NEARER = 0.999  # times as far off
 _PLACES = 16  # along an edge
 _FREE = 1.99  # wedge index of a plate's edge, and more
-_BESIDE = 0.03  # m: sound passes what is in the way of a ray by less
 _BLOCK = 64  # wedges that are tried against all others at a time
 #: Shares of both lengths at which rays go from one edge to another.
 _TRIED = np.array([[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.25, 0.75], [0.75, 0.25]])
@@ -188,27 +187,9 @@ def _may_shadow(phi: tuple[float, float], n: float) -> bool:
 
 
 @part
-def beside(geometry: Geometry, wedges: Wedges, e: int, at: Vec3) -> Vec3:
-    """A place off an edge, farther off by what no wave takes note of; the place itself if something is there."""
-    away = row(wedges.offset, e)
-    off = along(at, _BESIDE / max(length(away), _LEAST_WIDTH), away)
-    return off if unoccluded(geometry, at, off) else at
-
-
-@part
 def is_free(geometry: Geometry, wedges: Wedges, edges: tuple[int, int], at: tuple[Vec3, Vec3]) -> bool:
     """Whether a ray goes between places off two edges. Of two free edges, rays on either side of what may be one
     plate: those in it meet it or not as rounding has it."""
-    (a, b), (p, q) = edges, at
-    if _ray_passes(geometry, wedges, edges, at):
-        return True
-    return unoccluded(geometry, beside(geometry, wedges, a, p), beside(geometry, wedges, b, q))
-
-
-@part
-def _ray_passes(
-    geometry: Geometry, wedges: Wedges, edges: tuple[int, int], at: tuple[Vec3, Vec3]
-) -> bool:
     (a, b), (p, q) = edges, at
     if unoccluded(geometry, p, q):
         return True
@@ -222,14 +203,13 @@ def _ray_passes(
 
 @part
 def _see_each_other(geometry: Geometry, wedges: Wedges, a: int, b: int) -> bool:
-    """Whether a ray goes from wedge a to wedge b; between their middles, one that is not quite free will do."""
+    """Whether a ray goes from wedge a to wedge b."""
     for k in range(len(_TRIED)):
         p = clear_point(wedges, a, _TRIED[k, 0] * wedges.length[a])
         q = clear_point(wedges, b, _TRIED[k, 1] * wedges.length[b])
-        if _ray_passes(geometry, wedges, (a, b), (p, q)):
+        if is_free(geometry, wedges, (a, b), (p, q)):
             return True
-    p, q = clear_point(wedges, a, 0.5 * wedges.length[a]), clear_point(wedges, b, 0.5 * wedges.length[b])
-    return is_free(geometry, wedges, (a, b), (p, q))
+    return False
 
 
 @kernel

@@ -25,7 +25,7 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, distance, dot, row, subtrac
 from soundspaces_sim.scene.rays.geometry import unoccluded
 from soundspaces_sim.transport.arrivals.field import Spectrum
 from soundspaces_sim.transport.arrivals.images import View
-from soundspaces_sim.transport.arrivals.scene_edges import Edges, Links, beside, is_free
+from soundspaces_sim.transport.arrivals.scene_edges import Edges, Links, is_free
 from soundspaces_sim.transport.arrivals.two_edges import MIN_RADIUS
 from soundspaces_sim.transport.arrivals.wedges import (
     Wedges,
@@ -80,22 +80,15 @@ def make_way_scratch() -> WayScratch:
 
 
 @part
-def _reaches(view: View, wedges: Wedges, p: Vec3, e: int, at: Vec3) -> bool:
-    """Whether sound gets from a point to a place off an edge."""
-    geometry = view.geometry
-    return unoccluded(geometry, p, at) or unoccluded(geometry, p, beside(geometry, wedges, e, at))
-
-
-@part
 def _seen_place(view: View, wedges: Wedges, e: int, p: Vec3, z: float) -> float:
     """The place of an edge, m, that a point sees: the nearest one, or of some along it that which is nearest."""
     far, best = wedges.length[e], math.nan
-    if _reaches(view, wedges, p, e, met_point(wedges, e, z)):
+    if unoccluded(view.geometry, p, met_point(wedges, e, z)):
         return min(max(z, 0.0), far)
     for k in range(_PLACES):
         tried = (k + 0.5) / _PLACES * far
         nearer = not abs(best - z) <= abs(tried - z)
-        if nearer and _reaches(view, wedges, p, e, clear_point(wedges, e, tried)):
+        if nearer and unoccluded(view.geometry, p, clear_point(wedges, e, tried)):
             best = tried
     return best
 
@@ -248,14 +241,14 @@ def _pull_taut(wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch
 def _all_free(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: WayScratch) -> bool:
     edge, z = scratch.edge, scratch.z
     at = met_point(wedges, edge[0], z[0])
-    if not _reaches(view, wedges, p, edge[0], at):
+    if not unoccluded(view.geometry, p, at):
         return False
     for n in range(1, count):
         to = met_point(wedges, edge[n], z[n])
         if not is_free(view.geometry, wedges, (edge[n - 1], edge[n]), (at, to)):
             return False
         at = to
-    return _reaches(view, wedges, q, edge[count - 1], at)
+    return unoccluded(view.geometry, q, at)
 
 
 @part
@@ -309,9 +302,9 @@ def _slack(view: View, wedges: Wedges, count: int, p: Vec3, q: Vec3, scratch: Wa
         before = met_point(wedges, edge[n - 1], z[n - 1]) if n > 0 else p
         after = met_point(wedges, edge[n + 1], z[n + 1]) if n < count - 1 else q
         if n == 0:
-            free = _reaches(view, wedges, p, edge[1], after)
+            free = unoccluded(view.geometry, p, after)
         elif n == count - 1:
-            free = _reaches(view, wedges, q, edge[n - 1], before)
+            free = unoccluded(view.geometry, q, before)
         else:
             free = is_free(view.geometry, wedges, (edge[n - 1], edge[n + 1]), (before, after))
         if free:

@@ -34,6 +34,7 @@ class Wedges(NamedTuple):
     normal: np.ndarray  # (E, 3) unit, of the first face, into the open sector
     n: np.ndarray  # (E,) wedge index: open sector / pi, 1 to 2
     offset: np.ndarray  # (E, 3) m, from the edge to where rays just clear it
+    clear: np.ndarray  # (E, 3) m, the same or farther off, to where rays pass it
     stands: np.ndarray  # (E, 2) whether its start and its end are on a surface
 
 
@@ -48,7 +49,7 @@ class WedgeCoordinates(NamedTuple):
 def no_wedges() -> Wedges:
     """None."""
     v, s = np.empty((0, 3)), np.empty(0)
-    return Wedges(v, v, s, v, v, s, v, np.empty((0, 2), np.bool_))
+    return Wedges(v, v, s, v, v, s, v, v, np.empty((0, 2), np.bool_))
 
 
 @part(forceinline=True)
@@ -92,8 +93,8 @@ def edge_point(wedges: Wedges, e: int, z: float) -> Vec3:
 
 @part(forceinline=True)
 def clear_point(wedges: Wedges, e: int, z: float) -> Vec3:
-    """`edge_point`, moved into the open sector as far as rays need to clear the edge."""
-    s, a, m = wedges.start[e], wedges.along[e], wedges.offset[e]
+    """`edge_point`, moved into the open sector to where rays pass the edge."""
+    s, a, m = wedges.start[e], wedges.along[e], wedges.clear[e]
     return s[0] + z * a[0] + m[0], s[1] + z * a[1] + m[1], s[2] + z * a[2] + m[2]
 
 
@@ -124,9 +125,19 @@ def boundary_tolerance(wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoor
 
 
 @part(forceinline=True)
-def met_point(wedges: Wedges, e: int, z: float) -> Vec3:
-    """Where a path meets an edge whose line it meets at `z` m, off the edge as rays need; near the end
-    beyond which that is."""
+def _place_met(wedges: Wedges, e: int, z: float) -> float:
     length = wedges.length[e]
     inset = min(_INSET, 0.25 * length)
-    return clear_point(wedges, e, min(max(z, inset), length - inset))
+    return min(max(z, inset), length - inset)
+
+
+@part(forceinline=True)
+def met_edge(wedges: Wedges, e: int, z: float) -> Vec3:
+    """Where a path meets an edge whose line it meets at `z` m; near the end beyond which that is."""
+    return edge_point(wedges, e, _place_met(wedges, e, z))
+
+
+@part(forceinline=True)
+def met_point(wedges: Wedges, e: int, z: float) -> Vec3:
+    """The same, off the edge as rays need."""
+    return clear_point(wedges, e, _place_met(wedges, e, z))
