@@ -36,7 +36,6 @@ from soundspaces_sim.scene.rays.overlaps import (
 from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.triangles import (
     areas,
-    boxes,
     check_mesh,
     corners_of,
     cross_products,
@@ -69,13 +68,21 @@ def is_large(faces: np.ndarray) -> bool:
 
 
 @kernel
-def _hash(low: np.ndarray, high: np.ndarray, material: np.ndarray, key: np.ndarray) -> None:
-    """Fill `key` (F,) with numbers, alike where boxes, from `low` (F, 3) to `high`, and `material` (F,) are."""
+def _hash(corners: np.ndarray, bits: np.ndarray, material: np.ndarray, key: np.ndarray) -> None:
+    """Fill `key` (F,) with numbers, alike where `material` (F,) and the boxes about `corners` (F, 3, 3) are; `bits`
+    of these floats."""
     for i in range(len(key)):
         h = np.uint64(material[i])
-        for k in range(6):
-            h = (h ^ (low[i, k] if k < 3 else high[i, k - 3])) * _HASH
-            h ^= h >> np.uint64(32)
+        for k in range(3):
+            low = high = 0
+            for c in range(1, 3):
+                low = c if corners[i, c, k] < corners[i, low, k] else low
+                high = c if corners[i, c, k] > corners[i, high, k] else high
+            for c in (low, high):
+                if corners[i, c, k] != 0.0:  # -0 is 0
+                    h ^= bits[i, c, k]
+                h *= _HASH
+                h ^= h >> np.uint64(32)
         key[i] = h
 
 
@@ -83,12 +90,12 @@ def _first_of_its_place(corners: np.ndarray, material: np.ndarray) -> np.ndarray
     """(F,) False for a face whose (3, 3) corners, in any order, and material another one before it has."""
     unique = np.ones(len(corners), bool)
     # Only those in the same box can be alike, and in most meshes none are.
-    low, high = boxes(corners)
     key = np.empty(len(corners), np.uint64)
-    _hash(low.view(np.uint64), high.view(np.uint64), material.astype(np.int64), key)
+    _hash(corners, corners.view(np.uint64), material.astype(np.int64), key)
     ordered = np.sort(key)
-    some = np.flatnonzero(np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]]))
-    if len(some) > 0:
+    again = ordered[1:][ordered[1:] == ordered[:-1]]
+    if len(again) > 0:
+        some = np.flatnonzero(np.isin(key, again))
         own = corners[some]
         order = np.lexsort(own.transpose(2, 0, 1)[::-1], axis=1)
         rows = np.take_along_axis(own, order[:, :, None], axis=1).reshape(len(some), 9)
@@ -154,12 +161,13 @@ class Scene:
         keep &= _first_of_its_place(corners, material)
         if not keep.any():
             raise SceneError(f"{self.name}: the mesh has no face with an area; check the file")
-        if keep.all():
-            put(self, "corners", corners)
+        if not keep.all():
+            corners, faces, material, label = (a[keep] for a in (corners, faces, material, label))
+        put(self, "corners", corners)
         put(self, "vertices", vertices)
-        put(self, "faces", faces[keep].astype(np.int64))
-        put(self, "face_material", material[keep].astype(np.int64))
-        put(self, "face_label", label[keep].astype(np.int64))
+        put(self, "faces", faces.astype(np.int64, copy=False))
+        put(self, "face_material", material.astype(np.int64, copy=False))
+        put(self, "face_label", label.astype(np.int64, copy=False))
         put(self, "labels", tuple(self.labels))
         for array in (self.vertices, self.faces, self.face_material, self.face_label):
             array.setflags(write=False)
@@ -351,6 +359,6 @@ class Scene:
         """SHA-256 of geometry and materials: what decides the sound (`MaterialTable.content`)."""
         sha = hashlib.sha256()
         for array in (self.corners, self.face_material):
-            sha.update(np.ascontiguousarray(array, "<f8").tobytes())
+            sha.update(np.ascontiguousarray(array, "<f8").data)
         sha.update(self.materials.content())
         return sha.hexdigest()

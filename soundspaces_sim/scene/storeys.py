@@ -20,7 +20,7 @@ from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
 from soundspaces_sim.scene.heightfield import Cells, too_large
 from soundspaces_sim.scene.rays.diffuse_walk import drop
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import boxes, points_on
+from soundspaces_sim.scene.triangles import points_on
 from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours
 
 _SLAB = 0.1  # m
@@ -150,7 +150,7 @@ def _levels(scene: Scene, height: float) -> list[_Level]:
 
 def find_ground(scene: Scene, height: float) -> Ground | None:
     """Where people walk, under `height` m of headroom; None for scenes too large for the cells."""
-    if too_large(*boxes(scene.corners), CELL):
+    if too_large(scene.corners, CELL):
         return None
     columns = find_floors(scene.corners, CELL, height, _AGENT, STEP)
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
