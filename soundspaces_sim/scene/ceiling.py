@@ -122,8 +122,10 @@ def with_cover(
     mesh: LabelledMesh, vertices: np.ndarray, faces: np.ndarray, notes: tuple[str, ...]
 ) -> LabelledMesh:
     """The mesh with the faces (F, 3) of a ceiling between `vertices` (V, 3) after its own, and its notes."""
+    if len(faces) == 0:
+        return replace(mesh, notes=(*mesh.notes, *notes))
     labels, label = mesh.labels, -1
-    if labels and len(faces) > 0:  # a mesh without labels gets none here either
+    if labels:  # a mesh without labels gets none here either
         labels = labels if "ceiling" in labels else (*labels, "ceiling")
         label = labels.index("ceiling")
     return LabelledMesh(

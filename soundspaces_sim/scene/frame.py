@@ -167,7 +167,7 @@ def _up_note(axis: str) -> str:
 
 
 def _clear_heights(corners: np.ndarray, extent: np.ndarray) -> tuple[np.ndarray, float]:
-    """Free heights above cells of floor, inf where no ceiling is, and the size of a cell, in the file's unit, as are
+    """Free heights above cells of floor, inf where no ceiling is, and the size of a cell, in the file's unit, as
     the corners' `extent` (3,). Roofs are no floor: what has no ceiling counts where nothing is below."""
     cell = float(np.sqrt(extent[0] * extent[1] / _COLUMNS))
     if cell <= 0.0 or too_large(corners, cell):

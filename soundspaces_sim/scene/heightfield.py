@@ -85,7 +85,7 @@ def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
 
 @kernel
 def _measure(corners: np.ndarray, cell: float, bounds: np.ndarray) -> float:
-    """Least and greatest coordinates of triangles (F, 3, 3) into `bounds` (2, 3), and cells under all their boxes."""
+    """Least and greatest coordinates of triangles (F, 3, 3) into `bounds` (2, 3), and cells under their boxes."""
     clips = 0.0
     for axis in range(3):
         bounds[0, axis], bounds[1, axis] = np.inf, -np.inf

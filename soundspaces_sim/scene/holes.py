@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
+from soundspaces_sim.core.numerics.rows import in_order
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.triangles import areas, lone_sides, weld
 
@@ -97,7 +98,7 @@ def _rim(points: np.ndarray, faces: np.ndarray) -> _Rim:
     a, b = points[ends[:, 0]], points[ends[:, 1]]
     inward = points[faces[face, (corner + 2) % 3]] - 0.5 * (a + b)
     point = ends.T.ravel()
-    order = np.argsort(point, kind="stable")
+    order = in_order(point)[1]
     start = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(points)))])
     side, other = order % max(len(ends), 1), ends[:, ::-1].T.ravel()[order]
     length = np.linalg.norm(b - a, axis=1)

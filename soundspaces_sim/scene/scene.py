@@ -95,7 +95,8 @@ def _first_of_its_place(corners: np.ndarray, material: np.ndarray) -> np.ndarray
     ordered = np.sort(key)
     again = ordered[1:][ordered[1:] == ordered[:-1]]
     if len(again) > 0:
-        some = np.flatnonzero(np.isin(key, again))
+        at = np.minimum(np.searchsorted(again, key), len(again) - 1)
+        some = np.flatnonzero(again[at] == key)
         own = corners[some]
         order = np.lexsort(own.transpose(2, 0, 1)[::-1], axis=1)
         rows = np.take_along_axis(own, order[:, :, None], axis=1).reshape(len(some), 9)
@@ -278,16 +279,14 @@ class Scene:
     @cached_property
     def areas(self) -> np.ndarray:
         """(F,) m²."""
-        return np.asarray(0.5 * np.linalg.norm(self._cross, axis=1))
+        return np.asarray(0.5 * np.linalg.norm(cross_products(self.corners), axis=1))
 
     @cached_property
     def normals(self) -> np.ndarray:
         """(F, 3) unit normals, orientation as in the file."""
-        return np.asarray(self._cross / (2.0 * self.areas)[:, None])
-
-    @cached_property
-    def _cross(self) -> np.ndarray:
-        return cross_products(self.corners)
+        normals = cross_products(self.corners)
+        normals /= (2.0 * self.areas)[:, None]
+        return normals
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -313,6 +312,7 @@ class Scene:
     @cached_property
     def geometry(self) -> Geometry:
         """The triangles as kernels see them, relative to `center`; no plane mirrors early sound."""
+        covers = covers_of(self.corners, self.center, self.normals, self.overlaps)
         return Geometry(
             self.rays.handle,
             self.rays.tied(np.ascontiguousarray(self.corners[:, 0] - self.center)),
@@ -321,7 +321,7 @@ class Scene:
             np.zeros(len(self.faces), np.int8),
             np.full(len(self.faces), -1),
             self._offset,
-            covers_of(self.corners - self.center, self.normals, self.overlaps),
+            covers,
         )
 
     @property
@@ -334,13 +334,17 @@ class Scene:
         """Faces that lie on others in one plane; those count (`rays.overlaps`)."""
 
         def find() -> Overlaps:
-            corners, material = self.corners - self.center, self.face_material
-            return find_overlaps(corners, self.normals, self._offset, material, self.materials)
+            return find_overlaps(*self._for_overlaps)
 
         if not is_large(self.faces):
             return find()
         key = scene_key(self), self.materials.names
         return cached_on_disk(Overlaps, key, find, lambda found: are_pairs(found, len(self.faces)))
+
+    @property
+    def _for_overlaps(self) -> tuple[Any, ...]:
+        about = self.corners, self.center, self.normals, self._offset
+        return *about, self.face_material, self.materials
 
     @property
     def overlap_notes(self) -> tuple[str, ...]:
@@ -349,10 +353,7 @@ class Scene:
 
     def close_notes(self) -> tuple[str, ...]:
         """The same of two materials of which faces lie a millimetre apart or less. It is searched for anew."""
-        close = find_close(
-            self.corners - self.center, self.normals, self._offset, self.face_material, self.materials
-        )
-        return close_notes(close, self.face_material, self.materials)
+        return close_notes(find_close(*self._for_overlaps), self.face_material, self.materials)
 
     @cached_property
     def digest(self) -> str:

@@ -164,8 +164,8 @@ def side_numbers(faces: np.ndarray) -> np.ndarray:
 
 @kernel
 def _sort_sides(faces: np.ndarray, first: np.ndarray, sides: np.ndarray) -> None:
-    """Sides 3 f + k of faces by the lesser of their points into `sides` (3 F,): those of point v from row `first[v]`
-    to `first[v + 1]`; `first` (V + 2,) is zero before."""
+    """Sides 3 f + k of faces by the lesser of their points into `sides` (3 F,): those of point v from row
+    `first[v]` to `first[v + 1]`; `first` (V + 2,) is zero before."""
     for f in range(len(faces)):
         for k in range(3):
             first[min(faces[f, k], faces[f, (k + 1) % 3]) + 2] += 1
