@@ -137,6 +137,7 @@ def load_scene(
         return source
     given = _read(source, up is not None and unit is not None)
     mesh = kept_mesh(given, (up, unit, decimate), lambda: _mended(given, up, unit, decimate))
+    del given  # of a scan, more than a hundred megabytes
     own = mesh.materials
     table = stack_materials(materials, own.values())
     label_map = load_labels(labels, {label: given.names[0] for label, given in own.items()})
