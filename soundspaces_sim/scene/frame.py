@@ -209,11 +209,11 @@ def _guess_unit(
     as most are; and a note. `core`: faces that are not astray; `clear`: free heights above them, if known."""
     height = float(np.ptp(vertices[used_rows(faces, len(vertices)), 2]))
     unit = _unit_of(height)
+    extent = np.ptp(vertices[used_rows(core, len(vertices))], axis=0)
     if height * UNITS[unit] > _HIGHEST:
-        height = float(np.ptp(vertices[used_rows(core, len(vertices)), 2]))
+        height = float(extent[2])
         unit = _unit_of(height)
     if clear is None:
-        extent = np.ptp(vertices[used_rows(core, len(vertices))], axis=0)
         clear, _ = _clear_heights(corners_of(vertices, core), extent)
     clear = clear[np.isfinite(clear)]
     room = float(np.median(clear)) if len(clear) else height

@@ -76,11 +76,18 @@ def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
     ]
     column, bottom, top = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     # By column, then by height: one number for both, with floats as integers of their order, is sorted fastest.
-    bits = (bottom + np.float32(0.0)).view(np.int32)
-    height = (bits ^ (bits >> 31 & 0x7FFFFFFF)).astype(np.int64) + 2**31
-    order = in_order(column.astype(np.int64) << 32 | height)[1]
+    key = np.empty(len(column), np.int64)
+    _find_keys(column, (bottom + np.float32(0.0)).view(np.int32), key)
+    order = in_order(key)[1]
     start = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=cells.nx * cells.ny))])
     return cells, Spans(start, bottom[order], top[order])
+
+
+@kernel
+def _find_keys(column: np.ndarray, bits: np.ndarray, key: np.ndarray) -> None:
+    for i in range(len(key)):
+        height = bits[i] ^ (bits[i] >> 31 & 0x7FFFFFFF)
+        key[i] = np.int64(column[i]) << 32 | (height + 2**31)
 
 
 @kernel
