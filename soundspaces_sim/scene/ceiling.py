@@ -74,9 +74,8 @@ def _indoors(scene: Scene, columns: Columns, where: np.ndarray, floor: float) ->
     points = np.stack([*columns.cells.middles(i, j), np.full(len(i), floor + _HEIGHT)], axis=1)
     angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_DIRECTIONS)], axis=1)
-    geometry = scene.geometry
     out = np.zeros(where.shape, bool)
-    out[i, j] = blocked(geometry, points - scene.center, directions).mean(axis=1) >= _INDOORS
+    out[i, j] = blocked(scene.plain_geometry, points - scene.center, directions).mean(axis=1) >= _INDOORS
     return out
 
 

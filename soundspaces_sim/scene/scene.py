@@ -23,7 +23,7 @@ from soundspaces_sim.core.svg import BLACK, Lines, html, svg
 from soundspaces_sim.scene.arrays import faces_of_arrays, faces_of_trimesh
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.rays.caster import RayScene
-from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.scene.rays.geometry import Covers, Geometry
 from soundspaces_sim.scene.rays.overlaps import (
     Overlaps,
     are_pairs,
@@ -95,8 +95,10 @@ def _first_of_its_place(corners: np.ndarray, material: np.ndarray) -> np.ndarray
     ordered = np.sort(key)
     again = ordered[1:][ordered[1:] == ordered[:-1]]
     if len(again) > 0:
-        at = np.minimum(np.searchsorted(again, key), len(again) - 1)
-        some = np.flatnonzero(again[at] == key)
+        leading = np.zeros(2**16, bool)  # bits of those, which few others have
+        leading[again >> 48] = True
+        some = np.flatnonzero(leading[key >> 48])
+        some = some[np.isin(key[some], again)]
         own = corners[some]
         order = np.lexsort(own.transpose(2, 0, 1)[::-1], axis=1)
         rows = np.take_along_axis(own, order[:, :, None], axis=1).reshape(len(some), 9)
@@ -183,7 +185,7 @@ class Scene:
 
     def __getstate__(self) -> dict[str, Any]:
         """What is given; rays and their geometry are of one process, and made anew in another."""
-        return {k: v for k, v in vars(self).items() if k not in ("rays", "geometry")}
+        return {k: v for k, v in vars(self).items() if k not in ("rays", "plain_geometry", "geometry")}
 
     def _repr_html_(self) -> str:
         low, high = self.bounds[:, 2]
@@ -313,6 +315,12 @@ class Scene:
     def geometry(self) -> Geometry:
         """The triangles as kernels see them, relative to `center`; no plane mirrors early sound."""
         covers = covers_of(self.corners, self.center, self.normals, self.overlaps)
+        return self.plain_geometry._replace(covers=covers)
+
+    @cached_property
+    def plain_geometry(self) -> Geometry:
+        """`geometry`, where of faces in one place any may count: for who asks where something is, and not of which
+        material. Overlaps take as long to find as all else of it."""
         return Geometry(
             self.rays.handle,
             self.rays.tied(np.ascontiguousarray(self.corners[:, 0] - self.center)),
@@ -321,7 +329,12 @@ class Scene:
             np.zeros(len(self.faces), np.int8),
             np.full(len(self.faces), -1),
             self._offset,
-            covers,
+            Covers(
+                np.zeros(len(self.faces) + 1, np.int64),
+                np.empty(0, np.int64),
+                np.empty((0, 3, 3)),
+                np.empty((0, 3)),
+            ),
         )
 
     @property
@@ -349,6 +362,8 @@ class Scene:
     @property
     def overlap_notes(self) -> tuple[str, ...]:
         """One sentence for each two materials of which faces lie in one place."""
+        if (self.face_material == self.face_material[0]).all():
+            return ()
         return overlap_notes(self.overlaps, self.face_material, self.materials)
 
     def close_notes(self) -> tuple[str, ...]:
