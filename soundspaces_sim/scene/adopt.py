@@ -22,6 +22,7 @@ def parts_of(mesh: Any, node_names: bool = False) -> list[tuple[np.ndarray, np.n
     """
     import trimesh  # here, because it takes long, and few scenes need it
 
+    placed: list[tuple[np.ndarray, Any, Any]]
     if isinstance(mesh, trimesh.Scene):
         placed = [(*mesh.graph[node], node) for node in mesh.graph.nodes_geometry]
     else:
@@ -38,7 +39,7 @@ def parts_of(mesh: Any, node_names: bool = False) -> list[tuple[np.ndarray, np.n
     return found
 
 
-def _label(mesh: Any, node_names: list[str]) -> str:
+def _label(mesh: Any, node_names: list[Any]) -> str:
     names = [getattr(getattr(mesh.visual, "material", None), "name", None), *node_names]
     return next((str(n) for n in names if n and not is_made_up(str(n))), "")
 

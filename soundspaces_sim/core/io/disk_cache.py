@@ -120,8 +120,7 @@ def _content(path: Path) -> np.ndarray:
             raise ValueError("others than this user could write it")
         if size_of(file) > _MOST:
             raise ValueError(f"it has more than {_MOST:,} bytes")
-        content = np.empty(size_of(file), np.uint8)
-        return content[: file.readinto(content.data)]
+        return np.fromfile(file, np.uint8)
 
 
 def _seal(path: Path, *content: Any) -> bytes:
