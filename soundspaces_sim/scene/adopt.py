@@ -22,21 +22,25 @@ def parts_of(mesh: Any, node_names: bool = False) -> list[tuple[np.ndarray, np.n
     """
     import trimesh  # here, because it takes long, and few scenes need it
 
+    placed: list[tuple[np.ndarray, Any, Any]]
     if isinstance(mesh, trimesh.Scene):
-        meshes = mesh.dump() if len(mesh.geometry) else []
+        placed = [(*mesh.graph[node], node) for node in mesh.graph.nodes_geometry]
     else:
-        meshes = [mesh]
-    return [
-        (np.asarray(m.vertices), np.asarray(m.faces), _label(m, node_names))
-        for m in meshes
-        if isinstance(m, trimesh.Trimesh) and len(m.faces)
-    ]
+        placed = [(np.eye(4), "", "")]
+    found = []
+    for transform, name, node in placed:
+        own = mesh.geometry[name] if isinstance(mesh, trimesh.Scene) else mesh
+        if not isinstance(own, trimesh.Trimesh) or len(own.faces) == 0:
+            continue
+        label = _label(own, [node, name] if node_names else [])
+        if not np.array_equal(transform, np.eye(4)):  # a copy of a scan takes a second
+            own = own.copy().apply_transform(transform)
+        found.append((np.asarray(own.vertices), np.asarray(own.faces), label))
+    return found
 
 
-def _label(mesh: Any, node_names: bool) -> str:
-    names = [getattr(getattr(mesh.visual, "material", None), "name", None)]
-    if node_names:
-        names += [mesh.metadata.get("node"), mesh.metadata.get("name")]
+def _label(mesh: Any, node_names: list[Any]) -> str:
+    names = [getattr(getattr(mesh.visual, "material", None), "name", None), *node_names]
     return next((str(n) for n in names if n and not is_made_up(str(n))), "")
 
 
@@ -50,6 +54,14 @@ def concatenate_parts(
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...], np.ndarray]:
     """Vertices, faces, labels and label rows of parts (vertices, faces, label or ''), at least one."""
     labels = tuple(sorted({label for _, _, label in parts if label}))
+    if len(parts) == 1:
+        vertices, faces, _ = parts[0]
+        return (
+            np.asarray(vertices, float),
+            np.asarray(faces, np.int64),
+            labels,
+            np.full(len(faces), len(labels) - 1),
+        )
     row = {label: i for i, label in enumerate(labels)}
     offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
     return (

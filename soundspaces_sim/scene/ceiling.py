@@ -17,12 +17,9 @@ from soundspaces_sim.scene.heightfield import too_large
 from soundspaces_sim.scene.labelled import LabelledMesh
 from soundspaces_sim.scene.rays.diffuse_walk import blocked
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.storeys import floor_heights
-from soundspaces_sim.scene.triangles import boxes
-from soundspaces_sim.scene.walkable import Columns, find_floors
+from soundspaces_sim.scene.storeys import CELL, STEP, find_ground, find_storeys
+from soundspaces_sim.scene.walkable import Columns
 
-_CELL = 0.1  # m
-_STEP = 0.2  # m, by which a floor may be uneven
 _HEIGHT = 1.5  # m, of an agent, and where walls are looked for
 _INDOORS = 0.75  # share of directions
 _DIRECTIONS = 16
@@ -37,15 +34,15 @@ def add_ceiling(mesh: LabelledMesh, scene: Scene, always: bool = False) -> Label
 
     The faces of the ceiling come after the mesh's own. `always`: also over places that do not look like indoors.
     """
-    reason = too_large(*boxes(scene.corners), _CELL)
-    if reason and always:
-        raise SceneError(f"{mesh.name}: no ceiling can be added: {reason}")
-    if reason:
+    ground = find_ground(scene, _HEIGHT)
+    if ground is None:
+        reason = too_large(scene.corners, CELL)
+        if always:
+            raise SceneError(f"{mesh.name}: no ceiling can be added: {reason}")
         note = f"missing ceilings were not looked for: {reason}"
         return replace(mesh, notes=(*mesh.notes, note))
-    floors = floor_heights(scene, _HEIGHT)
-    columns = find_floors(scene.corners, _CELL, _HEIGHT, 0.0, _STEP)
-    for floor in floors:
+    columns = ground.columns
+    for floor in find_storeys(scene, _HEIGHT, ground).floors:
         covered, open_ = _places(columns, float(floor))
         if not always:
             open_ &= _indoors(scene, columns, open_, float(floor))
@@ -61,7 +58,7 @@ def add_ceiling(mesh: LabelledMesh, scene: Scene, always: bool = False) -> Label
 def _places(columns: Columns, floor: float) -> tuple[np.ndarray, np.ndarray]:
     """(nx, ny) where the storey's floor has something above it, and where it has nothing."""
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
-    here = np.abs(columns.floor - floor) <= _STEP
+    here = np.abs(columns.floor - floor) <= STEP
     last = np.zeros(len(column), bool)
     last[columns.start[1:][np.diff(columns.start) > 0] - 1] = True  # the highest floor of its column
     maps = []
@@ -77,16 +74,15 @@ def _indoors(scene: Scene, columns: Columns, where: np.ndarray, floor: float) ->
     points = np.stack([*columns.cells.middles(i, j), np.full(len(i), floor + _HEIGHT)], axis=1)
     angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(_DIRECTIONS)], axis=1)
-    geometry = scene.geometry
     out = np.zeros(where.shape, bool)
-    out[i, j] = blocked(geometry, points - scene.center, directions).mean(axis=1) >= _INDOORS
+    out[i, j] = blocked(scene.plain_geometry, points - scene.center, directions).mean(axis=1) >= _INDOORS
     return out
 
 
 def _ceiling_height(scene: Scene, floor: float, has_ceiling: bool) -> float:
     """Of the storey's ceilings (median by area) if it has any, else of its walls' upper ends."""
     z = scene.corners[:, :, 2]
-    above = (z.max(axis=1) > floor + _HEIGHT + _STEP) & (z.max(axis=1) < floor + _TALLEST)
+    above = (z.max(axis=1) > floor + _HEIGHT + STEP) & (z.max(axis=1) < floor + _TALLEST)
     level = np.abs(scene.normals[:, 2])
     chosen = above & ((level > 0.9) & (z.min(axis=1) > floor + _HEIGHT) if has_ceiling else level < 0.3)
     if not chosen.any():
@@ -100,20 +96,20 @@ def _ceiling_height(scene: Scene, floor: float, has_ceiling: bool) -> float:
 def _cover(
     mesh: LabelledMesh, columns: Columns, open_: np.ndarray, height: float, where: str
 ) -> LabelledMesh:
-    near = scipy.ndimage.distance_transform_edt(~open_) * _CELL <= _REACH
+    near = scipy.ndimage.distance_transform_edt(~open_) * CELL <= _REACH
     top = columns.top.reshape(open_.shape)
-    low = (top < height - _CELL) & np.isfinite(top)
+    low = (top < height - CELL) & np.isfinite(top)
     # To the middle of the walls.
     area = scipy.ndimage.binary_dilation(open_ | (near & low), iterations=2)
     vertices, faces = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
     for k, (i0, i1, j0, j1) in enumerate(_rectangles(area)):
-        x0, x1 = columns.cells.x0 + i0 * _CELL, columns.cells.x0 + i1 * _CELL
-        y0, y1 = columns.cells.y0 + j0 * _CELL, columns.cells.y0 + j1 * _CELL
+        x0, x1 = columns.cells.x0 + i0 * CELL, columns.cells.x0 + i1 * CELL
+        y0, y1 = columns.cells.y0 + j0 * CELL, columns.cells.y0 + j1 * CELL
         vertices.append(
             np.array([[x0, y0, height], [x1, y0, height], [x1, y1, height], [x0, y1, height]])
         )
         faces.append(np.array([[0, 2, 1], [0, 3, 2]]) + 4 * k)
-    size = area.sum() * _CELL**2
+    size = area.sum() * CELL**2
     note = (
         f"nothing lies above {where}: a synthetic ceiling of {size:.1f} m2 was added at z = {height:.2f} m "
         "(ceiling=False leaves it open)"
@@ -125,8 +121,10 @@ def with_cover(
     mesh: LabelledMesh, vertices: np.ndarray, faces: np.ndarray, notes: tuple[str, ...]
 ) -> LabelledMesh:
     """The mesh with the faces (F, 3) of a ceiling between `vertices` (V, 3) after its own, and its notes."""
+    if len(faces) == 0:
+        return replace(mesh, notes=(*mesh.notes, *notes))
     labels, label = mesh.labels, -1
-    if labels and len(faces) > 0:  # a mesh without labels gets none here either
+    if labels:  # a mesh without labels gets none here either
         labels = labels if "ceiling" in labels else (*labels, "ceiling")
         label = labels.index("ceiling")
     return LabelledMesh(

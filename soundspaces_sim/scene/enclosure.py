@@ -21,11 +21,18 @@ _OPEN = 0.1  # the seed paper's limit for patios: anything below is outdoors by 
 
 
 def closedness(
-    scene: Scene, points: np.ndarray, rays: int = 1000, bounces: int = 10
+    scene: Scene,
+    points: np.ndarray,
+    rays: int = 1000,
+    bounces: int = 10,
+    geometry: Geometry | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Closed-ness (N,) in [0, 1] of (N, 3) points and distance (N,) m to the nearest geometry seen."""
+    """Closed-ness (N,) in [0, 1] of (N, 3) points and distance (N,) m to the nearest geometry seen; `geometry`: the
+    scene's, or its `plain_geometry`."""
     points = np.ascontiguousarray(points, float)
-    one_material = scene.geometry._replace(material=np.zeros((len(scene.faces), 2), np.int64))
+    one_material = (geometry or scene.geometry)._replace(
+        material=np.zeros((len(scene.faces), 2), np.int64)
+    )
     walks = diffuse_walks(one_material, points - scene.center, point_keys(points, 0), rays, bounces, 1)
     return walks.hits[:, 0] / (rays * bounces), walks.nearest
 

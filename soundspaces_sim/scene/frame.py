@@ -52,7 +52,7 @@ def to_scene_frame(mesh: LabelledMesh, up: str | None = None, unit: str | None =
     vertices, faces = mesh.vertices, mesh.faces
     notes = list(mesh.notes)
     stray = _stray_faces(vertices, faces)
-    core = faces[~stray] if not stray.all() else faces
+    core = faces[~stray] if stray.any() and not stray.all() else faces
     axis, clear = up or mesh.up, None
     if axis is None:
         axis, clear, note = _guess_up(vertices, core, UNITS[unit] if unit is not None else mesh.metre)
@@ -68,7 +68,7 @@ def to_scene_frame(mesh: LabelledMesh, up: str | None = None, unit: str | None =
     elif unit is None and metre != 1.0:
         notes.append(f"lengths are taken as {metre:.6g} m: so says the file (override with unit=)")
     vertices = vertices * metre
-    keep = np.ones(len(faces), bool)
+    keep: np.ndarray | slice = slice(None)
     span = np.ptp(vertices[used_rows(faces, len(vertices))], axis=0)
     if stray.any() and not stray.all() and span.max() > FARTHEST:
         keep = ~stray
@@ -118,7 +118,8 @@ def _stray_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     used = used_rows(faces, len(vertices))
     low, middle, high = np.quantile(vertices[used], [0.1, 0.5, 0.9], axis=0, method="nearest")
     far = np.abs(vertices - middle).max(axis=1) > _ASTRAY * max(float((high - low).max()), 1e-300)
-    if far[used].sum() > max(3.0, _FEW * len(used)):
+    count = int(far[used].sum())
+    if count == 0 or count > max(3.0, _FEW * len(used)):
         return np.zeros(len(faces), bool)
     return np.asarray(far[faces].any(axis=1))
 
@@ -146,7 +147,7 @@ def _guess_up(
     piece, score, clear = pieces_of(welded, len(points)), {}, {}
     for name in UPS:
         own = corners_of(_turned(vertices, name), faces)
-        clear[name], cell = _clear_heights(own)
+        clear[name], cell = _clear_heights(own, extent[list(_TURNS[name][0])])
         length = metre or UNITS[_unit_of(heights[name])]
         area = float(_like_rooms(clear[name] * length).sum()) * (cell * length) ** 2
         score[name] = area * (1.0 + _resting(own, piece))
@@ -165,13 +166,11 @@ def _up_note(axis: str) -> str:
     return f"{axis.upper()} is taken as up"
 
 
-def _clear_heights(corners: np.ndarray) -> tuple[np.ndarray, float]:
-    """Free heights above cells of floor, inf where no ceiling is, and the size of a cell, in the file's unit. Roofs
-    are no floor: what has no ceiling counts where nothing is below."""
-    low, high = boxes(corners)
-    extent = high.max(axis=0) - low.min(axis=0)
+def _clear_heights(corners: np.ndarray, extent: np.ndarray) -> tuple[np.ndarray, float]:
+    """Free heights above cells of floor, inf where no ceiling is, and the size of a cell, in the file's unit, as
+    the corners' `extent` (3,). Roofs are no floor: what has no ceiling counts where nothing is below."""
     cell = float(np.sqrt(extent[0] * extent[1] / _COLUMNS))
-    if cell <= 0.0 or too_large(low, high, cell):
+    if cell <= 0.0 or too_large(corners, cell):
         return np.empty(0), cell
     columns = find_floors(corners, cell, 0.1 * float(extent[2]), cell, 0.03 * float(extent[2]))
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
@@ -210,11 +209,12 @@ def _guess_unit(
     as most are; and a note. `core`: faces that are not astray; `clear`: free heights above them, if known."""
     height = float(np.ptp(vertices[used_rows(faces, len(vertices)), 2]))
     unit = _unit_of(height)
+    extent = np.ptp(vertices[used_rows(core, len(vertices))], axis=0)
     if height * UNITS[unit] > _HIGHEST:
-        height = float(np.ptp(vertices[used_rows(core, len(vertices)), 2]))
+        height = float(extent[2])
         unit = _unit_of(height)
     if clear is None:
-        clear, _ = _clear_heights(corners_of(vertices, core))
+        clear, _ = _clear_heights(corners_of(vertices, core), extent)
     clear = clear[np.isfinite(clear)]
     room = float(np.median(clear)) if len(clear) else height
     good = [n for n, metre in UNITS.items() if _ROOMS[0] <= room * metre <= _ROOMS[1]]

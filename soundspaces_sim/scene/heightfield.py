@@ -15,7 +15,6 @@ import numpy as np
 from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, part
 from soundspaces_sim.core.numerics.rows import in_order
-from soundspaces_sim.scene.triangles import boxes
 
 MOST_COLUMNS = 40_000_000  # 190 x 190 m in cells of 3 cm
 MOST_CLIPS = 500_000_000  # about a minute
@@ -67,56 +66,69 @@ def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
 
     Raises `SceneError` beyond `MOST_COLUMNS` columns, or `MOST_CLIPS` of them under all triangles together.
     """
-    low, high = boxes(corners)
-    reason = too_large(low, high, cell)
+    bounds, reason = _measured(corners, cell)
     if reason:
         raise SceneError(reason)
-    cells = _raster(low, high, cell)
+    cells = _raster(bounds, cell)
     parts = [
         (found.column.astype(np.int32), found.low.astype(np.float32), found.high.astype(np.float32))
         for found in _pieces(corners, cells)
     ]
     column, bottom, top = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     # By column, then by height: one number for both, with floats as integers of their order, is sorted fastest.
-    bits = (bottom + np.float32(0.0)).view(np.int32)
-    height = (bits ^ (bits >> 31 & 0x7FFFFFFF)).astype(np.int64) + 2**31
-    order = in_order(column.astype(np.int64) << 32 | height)[1]
+    key = np.empty(len(column), np.int64)
+    _find_keys(column, (bottom + np.float32(0.0)).view(np.int32), key)
+    order = in_order(key)[1]
     start = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=cells.nx * cells.ny))])
     return cells, Spans(start, bottom[order], top[order])
 
 
 @kernel
-def _measure(lows: np.ndarray, highs: np.ndarray, cell: float, bounds: np.ndarray) -> float:
-    """Least and greatest coordinates of triangles' boxes (F, 3) into `bounds` (2, 3), and cells under all boxes."""
+def _find_keys(column: np.ndarray, bits: np.ndarray, key: np.ndarray) -> None:
+    for i in range(len(key)):
+        height = bits[i] ^ (bits[i] >> 31 & 0x7FFFFFFF)
+        key[i] = np.int64(column[i]) << 32 | (height + 2**31)
+
+
+@kernel
+def _measure(corners: np.ndarray, cell: float, bounds: np.ndarray) -> float:
+    """Least and greatest coordinates of triangles (F, 3, 3) into `bounds` (2, 3), and cells under their boxes."""
     clips = 0.0
     for axis in range(3):
         bounds[0, axis], bounds[1, axis] = np.inf, -np.inf
-    for i in range(len(lows)):
+    for i in range(len(corners)):
+        under = 1.0
         for axis in range(3):
-            bounds[0, axis] = min(bounds[0, axis], lows[i, axis])
-            bounds[1, axis] = max(bounds[1, axis], highs[i, axis])
-        x, y = highs[i, 0] - lows[i, 0], highs[i, 1] - lows[i, 1]
-        clips += (x / cell + 2.0) * (y / cell + 2.0)
+            a, b, c = corners[i, 0, axis], corners[i, 1, axis], corners[i, 2, axis]
+            low, high = min(a, b, c), max(a, b, c)
+            bounds[0, axis] = min(bounds[0, axis], low)
+            bounds[1, axis] = max(bounds[1, axis], high)
+            if axis < 2:
+                under *= (high - low) / cell + 2.0
+        clips += under
     return clips
 
 
-def _raster(lows: np.ndarray, highs: np.ndarray, cell: float) -> Cells:
-    """Cells of `cell` m under triangles' boxes (F, 3), with an empty one on every side."""
-    bounds = np.empty((2, 3))
-    _measure(lows, highs, cell, bounds)
+def _raster(bounds: np.ndarray, cell: float) -> Cells:
+    """Cells of `cell` m within bounds (2, 3), with an empty one on every side."""
     nx, ny = (math.ceil((bounds[1, k] - bounds[0, k]) / cell) + 2 for k in (0, 1))
     return Cells(float(bounds[0, 0]) - cell, float(bounds[0, 1]) - cell, cell, nx, ny)
 
 
-def too_large(lows: np.ndarray, highs: np.ndarray, cell: float) -> str:
-    """Why `vertical_spans` refuses triangles with these boxes (F, 3), m; empty if it does not."""
+def too_large(corners: np.ndarray, cell: float) -> str:
+    """Why `vertical_spans` refuses these triangles (F, 3, 3), m; empty if it does not."""
+    return _measured(corners, cell)[1]
+
+
+def _measured(corners: np.ndarray, cell: float) -> tuple[np.ndarray, str]:
+    """The bounds (2, 3) of triangles, and `too_large`."""
     bounds = np.empty((2, 3))
-    clips = _measure(lows, highs, cell, bounds)
+    clips = _measure(corners, cell, bounds)
     size = bounds[1] - bounds[0]
     columns = float((size[0] / cell + 2.0) * (size[1] / cell + 2.0))
     if columns <= MOST_COLUMNS and clips <= MOST_CLIPS:
-        return ""
-    return (
+        return bounds, ""
+    return bounds, (
         f"the scene spans {size[0]:.5g} x {size[1]:.5g} m: {columns:.3g} cells of {cell} m, {clips:.3g} "
         f"under all triangles, where {MOST_COLUMNS:.0e} and {MOST_CLIPS:.0e} are the most; check the unit "
         "(--unit), or cut the mesh into parts"

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
+from soundspaces_sim.core.numerics.rows import in_order
 from soundspaces_sim.scene.labelled import LabelledMesh
-from soundspaces_sim.scene.triangles import areas, side_numbers, weld
+from soundspaces_sim.scene.triangles import areas, lone_sides, weld
 
 _AROUND = 0.6  # m, around a hole that is closed: 20 cm of three sides, where openings that people make have more
 _SIDES = 12  # of such a hole at most
@@ -92,15 +93,12 @@ def close_holes(mesh: LabelledMesh) -> LabelledMesh:
 
 
 def _rim(points: np.ndarray, faces: np.ndarray) -> _Rim:
-    real = np.flatnonzero((faces != np.roll(faces, 1, axis=1)).all(axis=1))
-    number = side_numbers(faces[real]).ravel()
-    alone = np.flatnonzero(np.bincount(number)[number] == 1)
-    face = real[alone // 3]
-    ends = np.stack([faces[face, alone % 3], faces[face, (alone + 1) % 3]], axis=1)
+    face, corner = np.nonzero(lone_sides(faces, len(points)))
+    ends = np.stack([faces[face, corner], faces[face, (corner + 1) % 3]], axis=1)
     a, b = points[ends[:, 0]], points[ends[:, 1]]
-    inward = points[faces[face, (alone + 2) % 3]] - 0.5 * (a + b)
+    inward = points[faces[face, (corner + 2) % 3]] - 0.5 * (a + b)
     point = ends.T.ravel()
-    order = np.argsort(point, kind="stable")
+    order = in_order(point)[1]
     start = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(points)))])
     side, other = order % max(len(ends), 1), ends[:, ::-1].T.ravel()[order]
     length = np.linalg.norm(b - a, axis=1)

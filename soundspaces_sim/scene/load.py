@@ -135,8 +135,7 @@ def load_scene(
                 "where it is made"
             )
         return source
-    given = _read(source, up is not None and unit is not None)
-    mesh = kept_mesh(given, (up, unit, decimate), lambda: _mended(given, up, unit, decimate))
+    mesh = _mesh_of(source, up, unit, decimate)
     own = mesh.materials
     table = stack_materials(materials, own.values())
     label_map = load_labels(labels, {label: given.names[0] for label, given in own.items()})
@@ -149,6 +148,12 @@ def load_scene(
             level = logging.WARNING if note.startswith(DOUBT) else logging.INFO
             _log.log(level, "%s: %s", scene.name, note)
     return scene
+
+
+def _mesh_of(source: Any, up: str | None, unit: str | None, decimate: float | None) -> LabelledMesh:
+    """The mesh of a source, mended. As its file has it, it is let go: of a scan, a hundred megabytes."""
+    given = _read(source, up is not None and unit is not None)
+    return kept_mesh(given, (up, unit, decimate), lambda: _mended(given, up, unit, decimate))
 
 
 def _mended(

@@ -23,7 +23,7 @@ from soundspaces_sim.core.svg import BLACK, Lines, html, svg
 from soundspaces_sim.scene.arrays import faces_of_arrays, faces_of_trimesh
 from soundspaces_sim.scene.materials import MaterialTable
 from soundspaces_sim.scene.rays.caster import RayScene
-from soundspaces_sim.scene.rays.geometry import Geometry
+from soundspaces_sim.scene.rays.geometry import Covers, Geometry
 from soundspaces_sim.scene.rays.overlaps import (
     Overlaps,
     are_pairs,
@@ -36,7 +36,6 @@ from soundspaces_sim.scene.rays.overlaps import (
 from soundspaces_sim.scene.section import section
 from soundspaces_sim.scene.triangles import (
     areas,
-    boxes,
     check_mesh,
     corners_of,
     cross_products,
@@ -69,13 +68,21 @@ def is_large(faces: np.ndarray) -> bool:
 
 
 @kernel
-def _hash(low: np.ndarray, high: np.ndarray, material: np.ndarray, key: np.ndarray) -> None:
-    """Fill `key` (F,) with numbers, alike where boxes, from `low` (F, 3) to `high`, and `material` (F,) are."""
+def _hash(corners: np.ndarray, bits: np.ndarray, material: np.ndarray, key: np.ndarray) -> None:
+    """Fill `key` (F,) with numbers, alike where `material` (F,) and the boxes about `corners` (F, 3, 3) are; `bits`
+    of these floats."""
     for i in range(len(key)):
         h = np.uint64(material[i])
-        for k in range(6):
-            h = (h ^ (low[i, k] if k < 3 else high[i, k - 3])) * _HASH
-            h ^= h >> np.uint64(32)
+        for k in range(3):
+            low = high = 0
+            for c in range(1, 3):
+                low = c if corners[i, c, k] < corners[i, low, k] else low
+                high = c if corners[i, c, k] > corners[i, high, k] else high
+            for c in (low, high):
+                if corners[i, c, k] != 0.0:  # -0 is 0
+                    h ^= bits[i, c, k]
+                h *= _HASH
+                h ^= h >> np.uint64(32)
         key[i] = h
 
 
@@ -83,12 +90,15 @@ def _first_of_its_place(corners: np.ndarray, material: np.ndarray) -> np.ndarray
     """(F,) False for a face whose (3, 3) corners, in any order, and material another one before it has."""
     unique = np.ones(len(corners), bool)
     # Only those in the same box can be alike, and in most meshes none are.
-    low, high = boxes(corners)
     key = np.empty(len(corners), np.uint64)
-    _hash(low.view(np.uint64), high.view(np.uint64), material.astype(np.int64), key)
+    _hash(corners, corners.view(np.uint64), material.astype(np.int64), key)
     ordered = np.sort(key)
-    some = np.flatnonzero(np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]]))
-    if len(some) > 0:
+    again = ordered[1:][ordered[1:] == ordered[:-1]]
+    if len(again) > 0:
+        leading = np.zeros(2**16, bool)  # bits of those, which few others have
+        leading[again >> 48] = True
+        some = np.flatnonzero(leading[key >> 48])
+        some = some[np.isin(key[some], again)]
         own = corners[some]
         order = np.lexsort(own.transpose(2, 0, 1)[::-1], axis=1)
         rows = np.take_along_axis(own, order[:, :, None], axis=1).reshape(len(some), 9)
@@ -154,12 +164,13 @@ class Scene:
         keep &= _first_of_its_place(corners, material)
         if not keep.any():
             raise SceneError(f"{self.name}: the mesh has no face with an area; check the file")
-        if keep.all():
-            put(self, "corners", corners)
+        if not keep.all():
+            corners, faces, material, label = (a[keep] for a in (corners, faces, material, label))
+        put(self, "corners", corners)
         put(self, "vertices", vertices)
-        put(self, "faces", faces[keep].astype(np.int64))
-        put(self, "face_material", material[keep].astype(np.int64))
-        put(self, "face_label", label[keep].astype(np.int64))
+        put(self, "faces", faces.astype(np.int64, copy=False))
+        put(self, "face_material", material.astype(np.int64, copy=False))
+        put(self, "face_label", label.astype(np.int64, copy=False))
         put(self, "labels", tuple(self.labels))
         for array in (self.vertices, self.faces, self.face_material, self.face_label):
             array.setflags(write=False)
@@ -174,7 +185,7 @@ class Scene:
 
     def __getstate__(self) -> dict[str, Any]:
         """What is given; rays and their geometry are of one process, and made anew in another."""
-        return {k: v for k, v in vars(self).items() if k not in ("rays", "geometry")}
+        return {k: v for k, v in vars(self).items() if k not in ("rays", "plain_geometry", "geometry")}
 
     def _repr_html_(self) -> str:
         low, high = self.bounds[:, 2]
@@ -270,16 +281,14 @@ class Scene:
     @cached_property
     def areas(self) -> np.ndarray:
         """(F,) m²."""
-        return np.asarray(0.5 * np.linalg.norm(self._cross, axis=1))
+        return np.asarray(0.5 * np.linalg.norm(cross_products(self.corners), axis=1))
 
     @cached_property
     def normals(self) -> np.ndarray:
         """(F, 3) unit normals, orientation as in the file."""
-        return np.asarray(self._cross / (2.0 * self.areas)[:, None])
-
-    @cached_property
-    def _cross(self) -> np.ndarray:
-        return cross_products(self.corners)
+        normals = cross_products(self.corners)
+        normals /= (2.0 * self.areas)[:, None]
+        return normals
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -305,6 +314,13 @@ class Scene:
     @cached_property
     def geometry(self) -> Geometry:
         """The triangles as kernels see them, relative to `center`; no plane mirrors early sound."""
+        covers = covers_of(self.corners, self.center, self.normals, self.overlaps)
+        return self.plain_geometry._replace(covers=covers)
+
+    @cached_property
+    def plain_geometry(self) -> Geometry:
+        """`geometry`, where of faces in one place any may count: for who asks where something is, and not of which
+        material. Overlaps take as long to find as all else of it."""
         return Geometry(
             self.rays.handle,
             self.rays.tied(np.ascontiguousarray(self.corners[:, 0] - self.center)),
@@ -313,7 +329,12 @@ class Scene:
             np.zeros(len(self.faces), np.int8),
             np.full(len(self.faces), -1),
             self._offset,
-            covers_of(self.corners - self.center, self.normals, self.overlaps),
+            Covers(
+                np.zeros(len(self.faces) + 1, np.int64),
+                np.empty(0, np.int64),
+                np.empty((0, 3, 3)),
+                np.empty((0, 3)),
+            ),
         )
 
     @property
@@ -326,8 +347,7 @@ class Scene:
         """Faces that lie on others in one plane; those count (`rays.overlaps`)."""
 
         def find() -> Overlaps:
-            corners, material = self.corners - self.center, self.face_material
-            return find_overlaps(corners, self.normals, self._offset, material, self.materials)
+            return find_overlaps(*self._for_overlaps)
 
         if not is_large(self.faces):
             return find()
@@ -335,22 +355,26 @@ class Scene:
         return cached_on_disk(Overlaps, key, find, lambda found: are_pairs(found, len(self.faces)))
 
     @property
+    def _for_overlaps(self) -> tuple[Any, ...]:
+        about = self.corners, self.center, self.normals, self._offset
+        return *about, self.face_material, self.materials
+
+    @property
     def overlap_notes(self) -> tuple[str, ...]:
         """One sentence for each two materials of which faces lie in one place."""
+        if (self.face_material == self.face_material[0]).all():
+            return ()
         return overlap_notes(self.overlaps, self.face_material, self.materials)
 
     def close_notes(self) -> tuple[str, ...]:
         """The same of two materials of which faces lie a millimetre apart or less. It is searched for anew."""
-        close = find_close(
-            self.corners - self.center, self.normals, self._offset, self.face_material, self.materials
-        )
-        return close_notes(close, self.face_material, self.materials)
+        return close_notes(find_close(*self._for_overlaps), self.face_material, self.materials)
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of geometry and materials: what decides the sound (`MaterialTable.content`)."""
         sha = hashlib.sha256()
         for array in (self.corners, self.face_material):
-            sha.update(np.ascontiguousarray(array, "<f8").tobytes())
+            sha.update(np.ascontiguousarray(array, "<f8").data)
         sha.update(self.materials.content())
         return sha.hexdigest()

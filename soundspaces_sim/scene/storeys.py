@@ -20,7 +20,7 @@ from soundspaces_sim.scene.enclosure import ENCLOSED, closedness
 from soundspaces_sim.scene.heightfield import Cells, too_large
 from soundspaces_sim.scene.rays.diffuse_walk import drop
 from soundspaces_sim.scene.scene import Scene
-from soundspaces_sim.scene.triangles import boxes, points_on
+from soundspaces_sim.scene.triangles import points_on
 from soundspaces_sim.scene.walkable import Columns, find_floors, neighbours
 
 _SLAB = 0.1  # m
@@ -106,7 +106,7 @@ def floor_heights(scene: Scene, height: float = 1.5) -> np.ndarray:
 def above_no_floor(scene: Scene, points: np.ndarray, floors: np.ndarray) -> np.ndarray:
     """(N,) whether the surface straight below each of `points` (N, 3) lies more than a step below the floor of its
     storey, `floors` (N,) m: a void, in a storey that is a gallery, or beside stairs."""
-    below = drop(scene.geometry, points - scene.center) + scene.center[2]
+    below = drop(scene.plain_geometry, points - scene.center) + scene.center[2]
     return below < floors - STEP
 
 
@@ -133,16 +133,18 @@ def _levels(scene: Scene, height: float) -> list[_Level]:
         u, v = rng.random((2, len(chosen)))
         points = points_on(scene.corners[chosen], u, v)
         points[:, 2] = floor + height
-        below = drop(scene.geometry, points - scene.center) + scene.center[2]
+        below = drop(scene.plain_geometry, points - scene.center) + scene.center[2]
         seen = np.abs(below - floor) < 0.5 * _SLAB
         if seen.mean() <= _SEEN:
             continue
-        indoors = bool((closedness(scene, points[seen], 64, 10)[0] >= ENCLOSED).mean() >= 0.5)
+        indoors = bool(
+            (closedness(scene, points[seen], 64, 10, scene.plain_geometry)[0] >= ENCLOSED).mean() >= 0.5
+        )
         if found and not indoors:
             continue
         faces = float(np.sign(scene.normals[chosen[seen], 2]).mean())
         points[:, 2] = floor - 0.5 * _SLAB
-        under = drop(scene.geometry, points[seen] - scene.center) + scene.center[2]
+        under = drop(scene.plain_geometry, points[seen] - scene.center) + scene.center[2]
         sheet = bool((under < floor - _THICK).mean() > 0.5)
         found.append(_Level(floor, float(area.sum() * seen.mean()), faces, sheet, indoors))
     return found
@@ -150,7 +152,7 @@ def _levels(scene: Scene, height: float) -> list[_Level]:
 
 def find_ground(scene: Scene, height: float) -> Ground | None:
     """Where people walk, under `height` m of headroom; None for scenes too large for the cells."""
-    if too_large(*boxes(scene.corners), CELL):
+    if too_large(scene.corners, CELL):
         return None
     columns = find_floors(scene.corners, CELL, height, _AGENT, STEP)
     column = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))

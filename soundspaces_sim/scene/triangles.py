@@ -163,20 +163,61 @@ def side_numbers(faces: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _find_beyond(
-    faces: np.ndarray, first: np.ndarray, sides: np.ndarray, seen: np.ndarray, out: np.ndarray
-) -> None:
-    """Fill `out` (F, 3), see `beyond_sides`, that holds -1; `first` (V + 2,) is zero before, `seen` (V, 3) -1."""
+def _sort_sides(faces: np.ndarray, first: np.ndarray, sides: np.ndarray) -> None:
+    """Sides 3 f + k of faces by the lesser of their points into `sides` (3 F,): those of point v from row
+    `first[v]` to `first[v + 1]`; `first` (V + 2,) is zero before."""
     for f in range(len(faces)):
         for k in range(3):
             first[min(faces[f, k], faces[f, (k + 1) % 3]) + 2] += 1
     for v in range(2, len(first)):
         first[v] += first[v - 1]
-    for s in range(3 * len(faces)):  # sides by the lesser of their points
-        f, k = s // 3, s % 3
-        v = min(faces[f, k], faces[f, (k + 1) % 3]) + 1
-        sides[first[v]] = s
-        first[v] += 1
+    for f in range(len(faces)):
+        for k in range(3):
+            v = min(faces[f, k], faces[f, (k + 1) % 3]) + 1
+            sides[first[v]] = 3 * f + k
+            first[v] += 1
+
+
+def _sides_by_point(faces: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """`first` and `sides` of `_sort_sides`."""
+    first, sides = np.zeros(points + 2, np.int32), np.empty(faces.size, np.int32)
+    _sort_sides(faces, first, sides)
+    return first, sides
+
+
+@kernel
+def _find_lone(
+    faces: np.ndarray, first: np.ndarray, sides: np.ndarray, seen: np.ndarray, out: np.ndarray
+) -> None:
+    """Set `out` (F, 3), see `lone_sides`, that is False before; `seen` (V, 2) holds -1."""
+    for v in range(len(seen)):
+        for i in range(first[v], first[v + 1]):
+            s = sides[i]
+            f, k = s // 3, s % 3
+            a, b, c = faces[f, k], faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]
+            if a == b or b == c or c == a:
+                continue
+            far = max(a, b)
+            if seen[far, 0] != v:
+                seen[far, 0], seen[far, 1] = v, s
+                out[f, k] = True
+            else:
+                out[seen[far, 1] // 3, seen[far, 1] % 3] = False
+
+
+def lone_sides(faces: np.ndarray, points: int) -> np.ndarray:
+    """(F, 3) whether no other face, of (F, 3) rows of so many points, has the side from each corner to the next;
+    faces with two equal corners have no sides."""
+    out = np.zeros(faces.shape, np.bool_)
+    _find_lone(faces, *_sides_by_point(faces, points), np.full((points, 2), -1, np.int32), out)
+    return out
+
+
+@kernel
+def _find_beyond(
+    faces: np.ndarray, first: np.ndarray, sides: np.ndarray, seen: np.ndarray, out: np.ndarray
+) -> None:
+    """Fill `out` (F, 3), see `beyond_sides`, that holds -1; `seen` (V, 3) holds -1."""
     for v in range(len(seen)):
         for i in range(first[v], first[v + 1]):
             s = sides[i]
@@ -197,8 +238,7 @@ def beyond_sides(faces: np.ndarray, points: int) -> np.ndarray:
     """(F, 3) the face, of (F, 3) rows of so many points, beyond the side from each corner to the next: -1 where
     there is none, or more than one."""
     out = np.full(faces.shape, -1, np.int32)
-    first, sides = np.zeros(points + 2, np.int32), np.empty(faces.size, np.int32)
-    _find_beyond(faces, first, sides, np.full((points, 3), -1, np.int32), out)
+    _find_beyond(faces, *_sides_by_point(faces, points), np.full((points, 3), -1, np.int32), out)
     return out
 
 

@@ -259,7 +259,7 @@ def test_every_pair_of_random_rectangles_is_found_once() -> None:
     corners = np.array(triangles)[order]
     normals = np.tile([0.0, 0.0, 1.0], (len(corners), 1))
     material = np.zeros(len(corners), np.int64)
-    found = find_overlaps(corners, normals, 1e-5, material, table(0.1, 0.1))
+    found = find_overlaps(corners, np.zeros(3), normals, 1e-5, material, table(0.1, 0.1))
     shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
     area = np.maximum(shared, 0.0).prod(axis=2) * (z[:, None] == z)
     expected = float(np.triu(area, 1).sum())

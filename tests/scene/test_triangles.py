@@ -12,6 +12,7 @@ from soundspaces_sim.scene.triangles import (
     boxes,
     corners_of,
     cross_products,
+    lone_sides,
     longest_edges,
     middles,
     pieces_of,
@@ -95,6 +96,11 @@ def test_the_face_beyond_a_side() -> None:
     for points in (4, 12, 40):
         faces = rng.integers(0, points, (60, 3))
         side = side_numbers(faces)
+        real = np.flatnonzero((faces != np.roll(faces, 1, axis=1)).all(axis=1))
+        alone = np.zeros(faces.shape, bool)
+        number = side[real]
+        alone[real] = np.bincount(number.ravel())[number] == 1
+        np.testing.assert_array_equal(lone_sides(faces, points), alone)
         owner = np.repeat(np.arange(60), 3)
         expected = np.full((60, 3), -1)
         for f, k in np.ndindex(60, 3):

@@ -105,11 +105,11 @@ def test_forged_arrays_are_made_again(
     cache.mkdir(mode=0o700)
     forged = 0
     for file, whole in files.items():
-        path, arrays = cache / file, module._unpacked(whole, 32)
+        path, arrays = cache / file, module._unpacked(np.frombuffer(bytearray(whole), np.uint8), 32)
         if name in arrays:
             arrays[name] = forge(arrays[name])
-            content = module._packed(arrays)
-            whole = module._seal(path, content) + content
+            parts = module._packed(arrays)
+            whole = b"".join([module._seal(path, *parts), *parts])
             forged += 1
         path.write_bytes(whole)
     assert forged == 1

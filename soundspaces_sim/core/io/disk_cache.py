@@ -38,6 +38,7 @@ from soundspaces_sim.core.platforms import is_own, user_name
 _log = logging.getLogger(__name__)
 _Arrays = TypeVar("_Arrays", bound=tuple[Any, ...])
 _MOST = 2**31  # bytes of all files
+_ALIGNED = 64  # bytes
 _MOST_HEAD = 2**16  # bytes of the line that describes the arrays
 _WORTH_S = 0.5  # what is made sooner is not kept
 _ROUND = ("numpy", "scipy", "numba", "trimesh")
@@ -90,7 +91,7 @@ def _read(path: Path, like: type[_Arrays], fits: Callable[[_Arrays], bool]) -> _
         return None
     try:
         content = _content(path)
-        if content[:32] != _seal(path, memoryview(content)[32:]):
+        if content[:32].tobytes() != _seal(path, content[32:].data):
             raise ValueError("its digest differs")
         tree: _Arrays = _tree(like, _unpacked(content, 32), "")
         if not fits(tree):
@@ -112,54 +113,57 @@ def _read(path: Path, like: type[_Arrays], fits: Callable[[_Arrays], bool]) -> _
     return tree
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path) -> np.ndarray:
     """Raises `ValueError` for a file of somebody else."""
     with open_regular(path, DatasetError, "file of the cache", follow=False) as file:
         if not is_own(os.fstat(file.fileno())):
             raise ValueError("others than this user could write it")
         if size_of(file) > _MOST:
             raise ValueError(f"it has more than {_MOST:,} bytes")
-        return file.read()
+        return np.fromfile(file, np.uint8)
 
 
-def _seal(path: Path, content: Any) -> bytes:
+def _seal(path: Path, *content: Any) -> bytes:
     """Digest of the name and the content: a file that was renamed is another scene's."""
     sha = hashlib.sha256(path.stem.encode())
-    sha.update(content)
+    for part in content:
+        sha.update(part)
     return sha.digest()
 
 
 def _write(path: Path, made: tuple[Any, ...]) -> None:
-    content = _packed(_flat(made, ""))
-    if len(content) > _MOST:
+    parts = _packed(_flat(made, ""))
+    if sum(memoryview(part).nbytes for part in parts) > _MOST:
         return
     try:
         make_folder(path.parent)
-        publish(path, _seal(path, content) + content, durable=False, mode=0o600)
+        publish(path, b"".join([_seal(path, *parts), *parts]), durable=False, mode=0o600)
     except DatasetError as problem:
         _log.warning("not kept for the next time: %s", problem)
         return
     _prune(path.parent)
 
 
-def _packed(arrays: dict[str, np.ndarray]) -> bytes:
-    """A line of JSON, [name, type, shape] of each array, and their bytes."""
+def _packed(arrays: dict[str, np.ndarray]) -> list[Any]:
+    """A line of JSON, [name, type, shape] of each array, and their bytes, which begin aligned after a seal."""
     little = {n: np.ascontiguousarray(a, a.dtype.newbyteorder("<")) for n, a in arrays.items()}
-    head = json.dumps([[n, a.dtype.str, a.shape] for n, a in little.items()]).encode() + b"\n"
-    return b"".join([head, *(a.tobytes() for a in little.values())])
+    head = json.dumps([[n, a.dtype.str, a.shape] for n, a in little.items()]).encode()
+    head += b" " * (-(32 + len(head) + 1) % _ALIGNED) + b"\n"
+    return [head, *(a.ravel().view(np.uint8).data for a in little.values())]
 
 
-def _unpacked(content: bytes, at: int) -> dict[str, np.ndarray]:
+def _unpacked(content: np.ndarray, at: int) -> dict[str, np.ndarray]:
     """What `_packed` packed, from byte `at` on. Raises `ValueError` and msgspec's errors."""
-    end = content.index(b"\n", at, at + _MOST_HEAD)
-    head = msgspec.json.decode(content[at:end], type=list[tuple[str, str, tuple[int, ...]]])
+    head_bytes = content[at : at + _MOST_HEAD].tobytes()
+    end = at + head_bytes.index(b"\n")
+    head = msgspec.json.decode(head_bytes[: end - at], type=list[tuple[str, str, tuple[int, ...]]])
     out, at = {}, end + 1
     for name, kind, shape in head:
         count = math.prod(shape)
         if kind not in _TYPES or not all(0 <= n <= _MOST for n in shape) or count > _MOST:
             raise ValueError(f"an array of type {kind} and shape {shape}")
         array = np.frombuffer(content, kind, count, at) if count else np.empty(0, kind)
-        out[name] = array.reshape(shape).copy()  # aligned, and kernels take none that cannot be written
+        out[name] = (array if array.flags.aligned else array.copy()).reshape(shape)
         at += array.nbytes
     if at != len(content):
         raise ValueError(f"it has {len(content):,} bytes, where its arrays have {at:,}")

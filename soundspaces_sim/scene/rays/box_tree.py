@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, part
-from soundspaces_sim.core.numerics.rows import in_order, taken
+from soundspaces_sim.core.numerics.rows import in_order
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, divide, length, subtract
-from soundspaces_sim.scene.triangles import boxes
 
 LEAF = 4  # triangles
 _BITS = 16  # of a coordinate in Morton codes
@@ -23,20 +22,14 @@ class BoxTree(NamedTuple):
     triangle: np.ndarray  # (L, LEAF), -1 for none
 
 
-def _morton_order(points: np.ndarray) -> np.ndarray:
-    least = points.min(axis=0)
-    extent = float((points.max(axis=0) - least).max())
-    code = np.empty(len(points), np.int64)
-    _find_codes(points, least, (2**_BITS - 1) / max(extent, 1e-300), code)
-    return in_order(code)[1]
-
-
 @kernel
-def _find_codes(points: np.ndarray, least: np.ndarray, scale: float, code: np.ndarray) -> None:
-    for i in range(len(points)):
+def _find_codes(corners: np.ndarray, least: np.ndarray, scale: float, code: np.ndarray) -> None:
+    for i in range(len(corners)):
         code[i] = 0
         for axis in range(3):
-            cell = int((points[i, axis] - least[axis]) * scale)
+            a, b, c = corners[i, 0, axis], corners[i, 1, axis], corners[i, 2, axis]
+            middle = 0.5 * (min(a, b, c) + max(a, b, c))
+            cell = min(max(int((middle - least[axis]) * scale), 0), 2**_BITS - 1)
             for shift, mask in _SPREAD:
                 cell = (cell | cell << shift) & mask
             code[i] |= cell << axis
@@ -44,13 +37,16 @@ def _find_codes(points: np.ndarray, least: np.ndarray, scale: float, code: np.nd
 
 def in_place_order(corners: np.ndarray) -> np.ndarray:
     """(n,) rows of triangles (n, 3, 3) in an order in which those near each other in space are near in memory."""
-    return _morton_order(np.ascontiguousarray(corners[:, 0]))
+    least = corners[:, 0].min(axis=0)
+    extent = float((corners[:, 0].max(axis=0) - least).max())
+    code = np.empty(len(corners), np.int64)
+    _find_codes(np.ascontiguousarray(corners), least, (2**_BITS - 1) / max(extent, 1e-300), code)
+    return in_order(code)[1]
 
 
-def make_box_tree(corners: np.ndarray) -> BoxTree:
-    """The tree of (F, 3, 3) corners."""
-    low, high = boxes(corners)
-    order = _morton_order(0.5 * (low + high))
+def make_box_tree(order: np.ndarray, low: np.ndarray, high: np.ndarray) -> BoxTree:
+    """The tree of triangles in the `order` (F,) of `in_place_order`, with boxes from `low` (F, 3) m to `high` in
+    that order, which is the leaves': a search reads what is near in memory."""
     leaves = 1 << max(int(np.ceil(np.log2(len(order) / LEAF))), 0)
     triangle = np.full(leaves * LEAF, -1)
     triangle[: len(order)] = order
@@ -61,7 +57,7 @@ def make_box_tree(corners: np.ndarray) -> BoxTree:
 
 @kernel
 def _bound(tree: BoxTree, low: np.ndarray, high: np.ndarray) -> None:
-    """Fill the tree's boxes with those about the triangles', which go from `low` (F, 3) to `high`."""
+    """Fill the tree's boxes with those about the triangles', which go from `low` (F, 3) to `high` in its order."""
     leaves = len(tree.triangle)
     for node in range(2 * leaves - 1, 0, -1):
         for axis in range(3):
@@ -70,19 +66,12 @@ def _bound(tree: BoxTree, low: np.ndarray, high: np.ndarray) -> None:
                 least = min(tree.low[2 * node, axis], tree.low[2 * node + 1, axis])
                 most = max(tree.high[2 * node, axis], tree.high[2 * node + 1, axis])
             else:
-                for k in range(LEAF):
-                    t = tree.triangle[node - leaves, k]
-                    if t >= 0:
-                        least, most = min(least, low[t, axis]), max(most, high[t, axis])
+                first = (node - leaves) * LEAF
+                for t in range(first, min(first + LEAF, len(low))):
+                    least, most = min(least, low[t, axis]), max(most, high[t, axis])
             tree.low[node, axis], tree.high[node, axis] = least, most
     for axis in range(3):  # no node
         tree.low[0, axis], tree.high[0, axis] = np.inf, -np.inf
-
-
-def of_leaves(tree: BoxTree, rows: np.ndarray) -> np.ndarray:
-    """Rows of the triangles (F, …) in the order of the leaves, which are filled from the first one on, so that a
-    search reads what is near in memory."""
-    return taken(rows, tree.triangle.ravel()[: len(rows)])
 
 
 @part

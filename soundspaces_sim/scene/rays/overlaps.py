@@ -12,10 +12,17 @@ import numpy as np
 
 from soundspaces_sim.core.io.check_cached import like, within
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
-from soundspaces_sim.core.numerics.rows import unique_rows
+from soundspaces_sim.core.numerics.rows import taken, unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, cross, dot, length, row, subtract
 from soundspaces_sim.scene.materials import MaterialTable
-from soundspaces_sim.scene.rays.box_tree import LEAF, BoxTree, clip, inwards, make_box_tree, of_leaves
+from soundspaces_sim.scene.rays.box_tree import (
+    LEAF,
+    BoxTree,
+    clip,
+    in_place_order,
+    inwards,
+    make_box_tree,
+)
 from soundspaces_sim.scene.rays.geometry import Covers, Geometry
 from soundspaces_sim.scene.triangles import areas, boxes, cross_products, pieces_of, side_numbers, welded
 
@@ -136,11 +143,12 @@ def _pairs_of_leaves(
             continue
         for k in range(n + 1 if one == other else 0, LEAF):
             its = other * LEAF + k
-            if tree.triangle[other, k] < 0 or not _meets(
+            if tree.triangle[other, k] < 0:
+                break
+            # Boxes of neighbours meet more often than their normals are parallel.
+            if abs(dot(row(there.normal, own), row(there.normal, its))) < _PARALLEL or not _meets(
                 there.low, there.high, its, there.low, there.high, own, near
             ):
-                continue
-            if abs(dot(row(there.normal, own), row(there.normal, its))) < _PARALLEL:
                 continue
             i, t, p, q = tree.triangle[one, n], tree.triangle[other, k], own, its
             if t < i:
@@ -195,21 +203,31 @@ def _find_pairs(
 
 
 def find_overlaps(
-    corners: np.ndarray, normals: np.ndarray, epsilon: float, material: np.ndarray, table: MaterialTable
+    corners: np.ndarray,
+    center: np.ndarray,
+    normals: np.ndarray,
+    epsilon: float,
+    material: np.ndarray,
+    table: MaterialTable,
 ) -> Overlaps:
-    """Of triangles (F, 3, 3) m with unit `normals` (F, 3) and rows `material` (F,) of a table; `epsilon`, m, as in
-    `Geometry`."""
+    """Of triangles (F, 3, 3) m about a `center` (3,), with unit `normals` (F, 3) and rows `material` (F,) of a
+    table; `epsilon`, m, as in `Geometry`."""
     near = _NEAR * epsilon
-    return _found(corners, normals, near, near, material, table)
+    return _found(corners, center, normals, near, near, material, table)
 
 
 def find_close(
-    corners: np.ndarray, normals: np.ndarray, epsilon: float, material: np.ndarray, table: MaterialTable
+    corners: np.ndarray,
+    center: np.ndarray,
+    normals: np.ndarray,
+    epsilon: float,
+    material: np.ndarray,
+    table: MaterialTable,
 ) -> Overlaps:
     """As `find_overlaps`, of triangles up to `CLOSE` apart that do not lie in one place: rays tell them apart, and
     the one that is met first from a side counts there."""
-    near = _found(corners, normals, CLOSE, _NEAR * epsilon, material, table)
-    one = find_overlaps(corners, normals, epsilon, material, table)
+    near = _found(corners, center, normals, CLOSE, _NEAR * epsilon, material, table)
+    one = find_overlaps(corners, center, normals, epsilon, material, table)
     known = set(zip(one.below.tolist(), one.above.tolist(), strict=True))
     pairs = zip(near.below.tolist(), near.above.tolist(), strict=True)
     apart = np.array([pair not in known for pair in pairs], bool)
@@ -218,6 +236,7 @@ def find_close(
 
 def _found(
     corners: np.ndarray,
+    center: np.ndarray,
     normals: np.ndarray,
     near: float,
     inside: float,
@@ -225,23 +244,13 @@ def _found(
     table: MaterialTable,
 ) -> Overlaps:
     """Pairs up to `near` m apart that share an area, of which `inside` m beyond either outline count to it."""
-    tree = make_box_tree(corners)
-    at, upright = of_leaves(tree, corners), of_leaves(tree, normals)
-    there = _There(at, upright, *boxes(at))
-    start = np.zeros(len(tree.triangle) + 1, np.int64)
-    for _ in range(2):  # they are counted, then noted
-        found = _Pairs(np.empty((start[-1], 2), np.int64), np.empty(start[-1]))
-        over_rows(
-            _find_pairs, len(tree.triangle), tree, there, near, inside, start, found,
-            scratch=lambda: np.empty((2, _MOST_CORNERS, 4)),
-        )  # fmt: skip
-        start = np.cumsum(start) if len(found.area) == 0 else start
-        if start[-1] == 0:
-            return Overlaps(*np.empty((2, 0), np.int64), np.empty(0), np.empty(0, bool))
-    pairs, area = found
+    pairs, area = _pairs(corners, center, normals, near, inside)
+    if len(pairs) == 0:
+        return Overlaps(*np.empty((2, 0), np.int64), np.empty(0), np.empty(0, bool))
     mixed = pairs[material[pairs[:, 0]] != material[pairs[:, 1]]]  # others sound alike
-    piece, size = _pieces(corners, normals, material, np.unique(mixed))
-    rank = _ranks(size, material, table)
+    local = corners - center if len(mixed) > 0 else corners
+    piece, size = _pieces(local, normals, material, np.unique(mixed))
+    rank = _ranks(size, material, table, np.unique(pairs))
     swap = rank[pairs[:, 0]] < rank[pairs[:, 1]]
     below, above = np.where(swap, pairs[:, 1], pairs[:, 0]), np.where(swap, pairs[:, 0], pairs[:, 1])
     order = np.lexsort((rank[above], below))
@@ -249,8 +258,29 @@ def _found(
     opposed = (normals[below] * normals[above]).sum(axis=1) < 0.0
     contact = opposed & (size[above] < size[below]) & (material[above] != material[below])
     if contact.any():
-        contact &= _bases(corners, piece, np.unique(piece[above[contact]]))[above]
+        contact &= _bases(local, piece, np.unique(piece[above[contact]]))[above]
     return Overlaps(below, above, area, contact)
+
+
+def _pairs(
+    corners: np.ndarray, center: np.ndarray, normals: np.ndarray, near: float, inside: float
+) -> _Pairs:
+    order = in_place_order(corners)
+    at = taken(corners, order)
+    at -= center
+    there = _There(at, taken(normals, order), *boxes(at))
+    tree = make_box_tree(order, there.low, there.high)
+    start = np.zeros(len(tree.triangle) + 1, np.int64)
+    for _ in range(2):  # they are counted, then noted
+        found = _Pairs(np.empty((start[-1], 2), np.int64), np.empty(start[-1]))
+        over_rows(
+            _find_pairs, len(tree.triangle), tree, there, near, inside, start, found,
+            scratch=lambda: np.empty((2, _MOST_CORNERS, 4)),
+        )  # fmt: skip
+        if len(found.area) > 0 or not start.any():
+            break
+        start = np.cumsum(start)
+    return found
 
 
 def _pieces(
@@ -274,14 +304,17 @@ def _pieces(
     return piece, size
 
 
-def _ranks(size: np.ndarray, material: np.ndarray, table: MaterialTable) -> np.ndarray:
-    """(F,) which triangle counts first of those in one place: the one of the lowest rank. `size` (F,) of pieces."""
+def _ranks(
+    size: np.ndarray, material: np.ndarray, table: MaterialTable, chosen: np.ndarray
+) -> np.ndarray:
+    """(F,) which triangle counts first of those in one place: the one of the lowest rank. `size` (F,) of pieces.
+    Only ranks of `chosen` triangles (n,), ascending, are set."""
     values = np.column_stack([table.absorption, table.scattering, table.transmission])
     mean = table.absorption.mean(axis=1)
     of_table = np.empty(len(values), np.int64)
     of_table[np.lexsort((table.names, *values.T[::-1], -mean))] = np.arange(len(values))
     rank = np.empty(len(size), np.int64)
-    rank[np.lexsort((of_table[material], size))] = np.arange(len(size))
+    rank[chosen[np.lexsort((of_table[material[chosen]], size[chosen]))]] = np.arange(len(chosen))
     return rank
 
 
@@ -301,11 +334,16 @@ def _bases(corners: np.ndarray, piece: np.ndarray, chosen: np.ndarray) -> np.nda
     return of_chosen & ~np.isin(piece, of_edge[free])
 
 
-def covers_of(corners: np.ndarray, normals: np.ndarray, overlaps: Overlaps) -> Covers:
-    """As kernels look them up; `corners` (F, 3, 3) m and unit `normals` (F, 3) of the triangles."""
+def covers_of(
+    corners: np.ndarray, center: np.ndarray, normals: np.ndarray, overlaps: Overlaps
+) -> Covers:
+    """As kernels look them up, relative to a `center` (3,); `corners` (F, 3, 3) m and unit `normals` (F, 3) of the
+    triangles."""
     count = np.bincount(overlaps.below, minlength=len(corners))
     above = overlaps.above
-    return Covers(np.concatenate([[0], np.cumsum(count)]), above, corners[above], normals[above])
+    return Covers(
+        np.concatenate([[0], np.cumsum(count)]), above, corners[above] - center, normals[above]
+    )
 
 
 @kernel

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
+from soundspaces_sim.core.numerics.rows import taken
 from soundspaces_sim.core.numerics.vec3 import Vec3, dot, row, subtract
 from soundspaces_sim.scene.rays.box_tree import (
     LEAF,
@@ -20,8 +21,8 @@ from soundspaces_sim.scene.rays.box_tree import (
     in_place_order,
     inwards,
     make_box_tree,
-    of_leaves,
 )
+from soundspaces_sim.scene.triangles import boxes
 
 _HEIGHT = 0.05  # m
 _SLOPE = 0.5  # a wall that leans over a piece by less than 27° at its outline leaves it free
@@ -153,8 +154,9 @@ class Barriers:
     `Geometry`."""
 
     def __init__(self, corners: np.ndarray, epsilon: float) -> None:
-        self._tree, self._epsilon = make_box_tree(corners), epsilon
-        self._corners = of_leaves(self._tree, corners)
+        order = in_place_order(corners)
+        self._corners, self._epsilon = taken(corners, order), epsilon
+        self._tree = make_box_tree(order, *boxes(self._corners))
 
     def find(self, pieces: np.ndarray, normals: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """(n, 2) whether something parts `pieces` (n, 3, 3) in front of and behind their unit `normals` (n, 3),
