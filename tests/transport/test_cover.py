@@ -51,7 +51,7 @@ def test_cells_hold_all_of_random_triangles_and_little_else(scale: float) -> Non
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     corners = flat @ turn[:2] + 0.7 * turn[2]
     planes = SpecularPlanes(turn[2:], np.array([0.7]), np.zeros(1), np.zeros(len(flat), int))
-    cover = make_cover(planes.of_face, corners, planes)
+    cover, _ = make_cover(planes.of_face, corners, planes)
     x = scale * rng.uniform(-4.0, 4.0, (4000, 2))
     apart, found = _apart(flat, x), _at(cover, 0, x @ turn[:2] + 0.7 * turn[2])
     size = float(cover.size[0])
@@ -65,5 +65,23 @@ def test_cells_hold_all_of_random_triangles_and_little_else(scale: float) -> Non
 
 def test_no_planes() -> None:
     none = SpecularPlanes(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty(0, int))
-    cover = make_cover(none.of_face, np.empty((0, 3, 3)), none)
-    assert cover.cell.dtype == np.uint8 and cover.shape.shape == (0, 2)
+    cover, area = make_cover(none.of_face, np.empty((0, 3, 3)), none)
+    assert cover.cell.dtype == np.uint8 and cover.shape.shape == (0, 2) and area.shape == (0,)
+
+
+def test_area_is_of_what_hangs_together() -> None:
+    """Three rectangles, of which two share a side: 2 m by 3 m of both, and cells up to .125 m about
+    them, whatever way triangles are wound and however often they are there."""
+
+    def rectangle(low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
+        (a, b), (c, d) = low, high
+        return np.array([[(a, b), (c, b), (c, d)], [(a, b), (a, d), (c, d)]])
+
+    flat = np.concatenate(
+        [rectangle((0, 0), (1.2, 3)), rectangle((1.2, 0), (2, 3)), rectangle((5, 0), (7, 2))]
+    )
+    flat = np.concatenate([flat, flat[:1, ::-1]])
+    corners = np.concatenate([flat, np.zeros((len(flat), 3, 1))], axis=2)
+    planes = SpecularPlanes(np.eye(3)[2:], np.zeros(1), np.zeros(1), np.zeros(len(flat), int))
+    area = make_cover(planes.of_face, corners, planes)[1]
+    assert 6.0 <= area[0] <= 2.25 * 3.25

@@ -119,6 +119,7 @@ class View(NamedTuple):
     boxes: np.ndarray  # (P, 2, 3) m, bounds of each plane's triangles
     cover: Cover
     reflects: np.ndarray  # (P, b) most energy that a plane reflects at any angle
+    large: np.ndarray  # (P,) planes in which points have images
 
 
 class End(NamedTuple):

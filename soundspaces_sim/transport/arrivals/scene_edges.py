@@ -55,7 +55,6 @@ class Edges(NamedTuple):
     mutual: MutualVisibility
     links: Links
     turn: np.ndarray  # (E, 4) cosine and sine of pi / 2n, and of pi n
-    large: np.ndarray  # (P,) planes in which points have images
 
 
 def find_mutual_visibility(scene: Scene, wedges: Wedges) -> MutualVisibility:

@@ -258,11 +258,11 @@ def _fill_links(first: int, last: int, edges: Edges, seen: Seen) -> None:
 def find_sight(view: View, edges: Edges, points: np.ndarray, keys: np.ndarray) -> Sight:
     """What points (N, 3) m of these keys see; images are those in the planes that are large."""
     sequences, wedges = find_sequences(view, points), edges.wedges
-    met = np.zeros((len(points), len(edges.large)), bool)
+    met = np.zeros((len(points), len(view.large)), bool)
     if len(wedges.length):
-        alone = np.flatnonzero(sequences.planes[:, 1] == len(edges.large))
+        alone = np.flatnonzero(sequences.planes[:, 1] == len(view.large))
         plane = sequences.planes[alone, 0]
-        met[np.searchsorted(sequences.start, alone, "right") - 1, plane] = edges.large[plane]
+        met[np.searchsorted(sequences.start, alone, "right") - 1, plane] = view.large[plane]
     # A point itself comes before its images. Columns of one array are of another layout where there is one row.
     own, plane = np.nonzero(np.concatenate([np.ones((len(points), 1), bool), met], axis=1))
     own, plane = np.ascontiguousarray(own), np.ascontiguousarray(plane - 1)

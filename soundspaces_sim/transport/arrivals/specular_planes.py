@@ -532,14 +532,9 @@ def faces_of_planes(of_face: np.ndarray, planes: int) -> tuple[np.ndarray, np.nd
     return own, np.searchsorted(of_face[own], np.arange(planes + 1))
 
 
-def plane_areas(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes) -> np.ndarray:
-    """(P,) m² of each plane's triangles; `of_face` (F,): plane of each face, -1 for none; `corners` (F, 3, 3) m."""
-    own = of_face >= 0
-    return np.bincount(of_face[own], areas(corners)[own], len(planes.offset))
-
-
 def plane_boxes(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes) -> np.ndarray:
-    """(P, 2, 3) least and greatest coordinates of each plane's triangles, with a margin, m; see `plane_areas`."""
+    """(P, 2, 3) least and greatest coordinates of each plane's triangles, with a margin, m; `of_face` (F,): plane
+    of each face, -1 for none; `corners` (F, 3, 3) m."""
     face = np.flatnonzero(of_face >= 0)
     face = face[np.argsort(of_face[face], kind="stable")]
     boxes = np.empty((len(planes.offset), 2, 3))
@@ -617,10 +612,15 @@ def _widened(covered: np.ndarray, cells: int) -> np.ndarray:
     return np.asarray(covered)
 
 
-def make_cover(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes) -> Cover:
-    """Of the triangles (F, 3, 3) m of planes; `of_face` (F,): plane of each, -1 for none."""
+def make_cover(
+    of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes
+) -> tuple[Cover, np.ndarray]:
+    """The cells of the triangles (F, 3, 3) m of planes, and (P,) m² of those that hang together, of a plane's parts
+    the largest; `of_face` (F,): plane of each triangle, -1 for none."""
+    from scipy import ndimage  # readers of datasets do without it
+
     order, start = faces_of_planes(of_face, len(planes.offset))
-    bases, firsts, sizes, cells = [], [], [], [np.empty((0, 0), np.uint8)]
+    bases, firsts, sizes, cells, area = [], [], [], [np.empty((0, 0), np.uint8)], []
     for a, (low, high) in enumerate(pairwise(start)):
         basis = in_plane(planes.normal[a])
         flat = corners[order[low:high]] @ basis.T
@@ -638,9 +638,11 @@ def make_cover(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes)
         bases.append(basis)
         firsts.append(first)
         sizes.append(size)
+        parts = ndimage.label(covered)[0][covered]
+        area.append(size**2 * np.bincount(parts).max(initial=0))
         cells.append(_widened(covered, there).astype(np.uint8) + _widened(covered, near))
     shapes = np.array([c.shape for c in cells[1:]], np.int64).reshape(-1, 2)
-    return Cover(
+    cover = Cover(
         np.array(bases).reshape(-1, 2, 3),
         np.array(firsts).reshape(-1, 2),
         np.array(sizes, float),
@@ -648,6 +650,7 @@ def make_cover(of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes)
         np.append(0, np.cumsum(shapes.prod(axis=1)))[:-1],
         np.concatenate([c.ravel() for c in cells]),
     )
+    return cover, np.array(area, float)
 
 
 @part(forceinline=True)

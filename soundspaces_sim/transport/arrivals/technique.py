@@ -25,7 +25,7 @@ from soundspaces_sim.transport.arrivals.images import View, most_reflected
 from soundspaces_sim.transport.arrivals.prepared import mark_planes, prepare_planes, prepare_wedges
 from soundspaces_sim.transport.arrivals.scene_edges import Edges, find_faces, find_links
 from soundspaces_sim.transport.arrivals.sight import Sight, find_sight
-from soundspaces_sim.transport.arrivals.specular_planes import make_cover, plane_areas, plane_boxes
+from soundspaces_sim.transport.arrivals.specular_planes import make_cover, plane_boxes
 from soundspaces_sim.transport.arrivals.waves import make_waves
 from soundspaces_sim.transport.arrivals.ways import make_way_scratch
 from soundspaces_sim.transport.bsdf.surface import Surfaces
@@ -80,33 +80,29 @@ def direct_sound(tile: Tile) -> tuple[np.ndarray, np.ndarray]:
 
 
 _ROOM = 1024  # waves of a pair that there is room for at first
-_MIN_AREA = (
-    4.0  # m², of a plane in which points have images: the first Fresnel zone of 4 m + 4 m at 500 Hz
-)
+#: m², of what hangs together of a plane in which points have images: the first Fresnel zone of 4 m + 4 m at 500 Hz
+_MIN_AREA = 4.0
 
 
 def view_of(model: Model) -> View:
     """What rays meet: `model.once(view_of)`."""
     planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
     corners = model.scene.corners - model.scene.center
-    boxes, cover = (
-        plane_boxes(geometry.plane, corners, planes),
-        make_cover(geometry.plane, corners, planes),
-    )
+    boxes = plane_boxes(geometry.plane, corners, planes)
+    cover, area = make_cover(geometry.plane, corners, planes)
     reflects = most_reflected(
         model.world.surfaces, geometry, len(planes.offset), len(model.config.bands) - 1
     )
-    return View(geometry, model.world.surfaces, planes, boxes, cover, reflects)
+    return View(geometry, model.world.surfaces, planes, boxes, cover, reflects, area >= _MIN_AREA)
 
 
 def edges_of(model: Model) -> Edges:
     """A scene's edges: `model.once(edges_of)`."""
     wedges, mutual = model.prepared.part(prepare_wedges)
-    planes, geometry = model.prepared.part(prepare_planes), model.world.geometry
-    large = plane_areas(geometry.plane, model.scene.corners, planes) >= _MIN_AREA
+    geometry = model.world.geometry
     half, whole = 0.5 * np.pi / wedges.n, np.pi * wedges.n
     turn = np.stack([np.cos(half), np.sin(half), np.cos(whole), np.sin(whole)], axis=1)
-    return Edges(wedges, *find_faces(geometry, wedges), mutual, find_links(wedges, mutual), turn, large)
+    return Edges(wedges, *find_faces(geometry, wedges), mutual, find_links(wedges, mutual), turn)
 
 
 def sight_of(side: Side) -> Sight:
