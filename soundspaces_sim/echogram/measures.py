@@ -62,7 +62,7 @@ def reverberation_times(
     what was cut off: its curve would dive at the end, as if the room had gone silent.
     """
     curve, reached = _curve_and_depth(energy)
-    return _fitted(curve, reached, bin_s, upper_db, lower_db), reached
+    return _fitted(curve, _sums(curve), reached, bin_s, upper_db, lower_db), reached
 
 
 def _curve_and_depth(energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -72,18 +72,36 @@ def _curve_and_depth(energy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return curve, np.maximum(reached, _cut_off(energy))
 
 
+def _sums(curve: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(…, n + 1) sums of levels (…, n) before each bin, and of the same times the number of their bins."""
+    level = np.where(np.isfinite(curve), curve, 0.0)
+    sums = np.zeros((2, *curve.shape[:-1], curve.shape[-1] + 1))
+    np.cumsum(level, axis=-1, out=sums[0, ..., 1:])
+    level *= np.arange(curve.shape[-1])
+    np.cumsum(level, axis=-1, out=sums[1, ..., 1:])
+    return sums[0], sums[1]
+
+
 def _fitted(
-    curve: np.ndarray, reached: np.ndarray, bin_s: float, upper_db: float, lower_db: float
+    curve: np.ndarray,
+    sums: tuple[np.ndarray, np.ndarray],
+    reached: np.ndarray,
+    bin_s: float,
+    upper_db: float,
+    lower_db: float,
 ) -> np.ndarray:
-    """`reverberation_times` of curves that reach so far."""
-    use = (curve <= upper_db) & (curve >= lower_db)
-    t = np.arange(curve.shape[-1]) * bin_s
-    y = np.where(use, curve, 0.0)
-    k = use.sum(axis=-1)
+    """`reverberation_times` of curves that reach so far, with their `_sums`: a straight line through bins `first`
+    to `last`, as curves only fall."""
+    first, last = (curve > upper_db).sum(axis=-1), (curve >= lower_db).sum(axis=-1)
+    ends = np.stack([first, last], axis=-1)
+    of_level, of_both = (np.diff(np.take_along_axis(s, ends, axis=-1))[..., 0] for s in sums)
+    k = (last - first).astype(float)
+    of_bin, squares = (
+        0.5 * k * (first + last - 1.0),
+        np.diff((ends - 1.0) * ends * (2.0 * ends - 1.0) / 6.0),
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean_t = (use * t).sum(axis=-1) / k
-        dt = np.where(use, t - mean_t[..., None], 0.0)
-        slope = (dt * y).sum(axis=-1) / (dt * dt).sum(axis=-1)
+        slope = (k * of_both - of_bin * of_level) / (k * squares[..., 0] - of_bin**2) / bin_s
         good = (reached <= lower_db - _HEADROOM_DB) & (k >= 3) & (slope < 0.0)
         return np.where(good, -60.0 / slope, np.nan)
 
@@ -189,7 +207,8 @@ def echograms_measures(echoes: Echograms) -> dict[str, np.ndarray]:
         for k in range(first, last):
             after = _after_onset(echoes, *pairs[k], step, bins)
             curve, reached = _curve_and_depth(after)
-            times = {n.lower(): _fitted(curve, reached, BIN_S, *levels) for n, *levels in RANGES}
+            sums = _sums(curve)
+            times = {n.lower(): _fitted(curve, sums, reached, BIN_S, *levels) for n, *levels in RANGES}
             parts[k] = {**times, **energy_ratios(after, BIN_S)}
 
     over_rows(call, len(parts), chunk=1)
@@ -228,10 +247,10 @@ def _after_onset(echoes: Echograms, s: int, first: int, most: int, bins: int) ->
     k = np.clip(np.searchsorted(echoes.time_edges, edges, "right") - 1, 0, len(echoes.time_edges) - 2)
     share = (edges - echoes.time_edges[k]) / np.diff(echoes.time_edges)[k]
     some = slice(first, first + most)
-    stored = echoes.energy[s, some, :, 0].astype(float)
-    cumulative = np.concatenate([np.zeros_like(stored[:, :1]), np.cumsum(stored, axis=1)], axis=1)
-    at_edges = cumulative[:, k] + share[:, None] * stored[:, k]
-    energy = np.maximum(np.diff(at_edges, axis=1), 0.0).transpose(0, 2, 1)
+    stored = np.ascontiguousarray(echoes.energy[s, some, :, 0].swapaxes(1, 2), float)
+    before = np.cumsum(stored, axis=2) - stored
+    at_edges = before[:, :, k] + share * stored[:, :, k]
+    energy = np.maximum(np.diff(at_edges, axis=2), 0.0)
     count, pair = len(energy), s * echoes.shape[1] + first
     start = echoes.early_start[pair : pair + count + 1]
     early, listener = slice(int(start[0]), int(start[-1])), np.repeat(np.arange(count), np.diff(start))
@@ -242,9 +261,10 @@ def _after_onset(echoes: Echograms, s: int, first: int, most: int, bins: int) ->
     direct = np.minimum((delay / BIN_S + 1e-9).astype(int), bins - 1)
     energy[np.arange(count), :, direct] += of_direct
     onset = np.where(of_direct.any(axis=1), direct, first_loud(energy))
-    rows = onset[:, None] + np.arange(bins)
-    shifted = np.take_along_axis(energy, np.minimum(rows, bins - 1)[:, None], axis=2)
-    return np.where((rows < bins)[:, None], shifted, 0.0)
+    after = np.zeros_like(energy)
+    for l, start_bin in enumerate(onset):
+        after[l, :, : bins - start_bin] = energy[l, :, start_bin:]
+    return after
 
 
 def first_loud(energy: np.ndarray) -> np.ndarray:
