@@ -194,6 +194,26 @@ def test_insertion_loss_of_a_screen(h: float) -> None:
     np.testing.assert_allclose(loss, 5.0 + 20.0 * np.log10(root / np.tanh(root)), atol=3.0)
 
 
+def test_a_centimetre_in_the_way_takes_no_wave() -> None:
+    """A second screen, whose edge is 1 cm above the straight way to the first one's, as a door leaf beside a jamb: the
+    first arrival is there as without it. It is at most 6 dB too loud, what a screen takes of sound that touches it."""
+    source, listener = np.array([-2.0, 0.3, -0.5]), np.array([2.0, 0.9, -0.5])
+    alone = screen()
+    vertices = alone.vertices + [-0.275, 0.0, 0.01 - 0.5 * 0.275 / 2.0]
+    both = ss.Scene.from_arrays(
+        np.concatenate([alone.vertices, vertices]),
+        np.concatenate([alone.faces, alone.faces + len(vertices)]),
+        0.1, 0.1,
+    )  # fmt: skip
+    first, second = (
+        min(ss.simulate(scene, [source], [listener], CONFIG)[0, 0].early, key=lambda a: a.delay)
+        for scene in (alone, both)
+    )
+    assert first.kind == second.kind == "edge"
+    assert first.delay == pytest.approx(second.delay, abs=1e-6)
+    np.testing.assert_allclose(second.energy[:2], first.energy[:2], rtol=0.1)
+
+
 @pytest.mark.parametrize("h", CORNER)
 def test_insertion_loss_of_a_corner(h: float) -> None:
     """The shadow's depth is the same on both sides of the corner: 2 m away, h below the line that touches it."""
