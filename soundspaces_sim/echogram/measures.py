@@ -55,7 +55,7 @@ def decay_curve(energy: np.ndarray) -> np.ndarray:
 def reverberation_times(
     energy: np.ndarray, bin_s: float, upper_db: float, lower_db: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(…) times for 60 dB of energies (…, n), from a line through the decay curve between two levels.
+    """(…) times for 60 dB of energies (…, n), none below 0, from a line through the decay curve between two levels.
 
     EDT: (0, -10); T20: (-5, -25); T30: (-5, -35). Also returns the level (…) that the decay reaches, dB;
     a time is NaN unless that lies `_HEADROOM_DB` below `lower_db`. A response that was cut reaches no further than
@@ -90,18 +90,14 @@ def _fitted(
     upper_db: float,
     lower_db: float,
 ) -> np.ndarray:
-    """`reverberation_times` of curves that reach so far, with their `_sums`: a straight line through bins `first`
-    to `last`, as curves only fall."""
+    """`reverberation_times` of curves that reach so far, with their `_sums`: a straight line through the bins
+    from `first` up to, not including, `last`, as curves only fall."""
     first, last = (curve > upper_db).sum(axis=-1), (curve >= lower_db).sum(axis=-1)
     ends = np.stack([first, last], axis=-1)
     of_level, of_both = (np.diff(np.take_along_axis(s, ends, axis=-1))[..., 0] for s in sums)
-    k = (last - first).astype(float)
-    of_bin, squares = (
-        0.5 * k * (first + last - 1.0),
-        np.diff((ends - 1.0) * ends * (2.0 * ends - 1.0) / 6.0),
-    )
+    k, middle = (last - first).astype(float), 0.5 * (first + last - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = (k * of_both - of_bin * of_level) / (k * squares[..., 0] - of_bin**2) / bin_s
+        slope = 12.0 * (of_both - middle * of_level) / (k * (k * k - 1.0) * bin_s)
         good = (reached <= lower_db - _HEADROOM_DB) & (k >= 3) & (slope < 0.0)
         return np.where(good, -60.0 / slope, np.nan)
 
@@ -248,7 +244,8 @@ def _after_onset(echoes: Echograms, s: int, first: int, most: int, bins: int) ->
     share = (edges - echoes.time_edges[k]) / np.diff(echoes.time_edges)[k]
     some = slice(first, first + most)
     stored = np.ascontiguousarray(echoes.energy[s, some, :, 0].swapaxes(1, 2), float)
-    before = np.cumsum(stored, axis=2) - stored
+    before = np.zeros_like(stored)
+    np.cumsum(stored[:, :, :-1], axis=2, out=before[:, :, 1:])
     at_edges = before[:, :, k] + share * stored[:, :, k]
     energy = np.maximum(np.diff(at_edges, axis=2), 0.0)
     count, pair = len(energy), s * echoes.shape[1] + first

@@ -86,7 +86,8 @@ def vertical_spans(corners: np.ndarray, cell: float) -> tuple[Cells, Spans]:
 @kernel
 def _find_keys(column: np.ndarray, bits: np.ndarray, key: np.ndarray) -> None:
     for i in range(len(key)):
-        height = bits[i] ^ (bits[i] >> 31 & 0x7FFFFFFF)
+        height = np.int64(bits[i])
+        height ^= height >> 31 & 0x7FFFFFFF
         key[i] = np.int64(column[i]) << 32 | (height + 2**31)
 
 

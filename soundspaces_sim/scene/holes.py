@@ -93,7 +93,7 @@ def close_holes(mesh: LabelledMesh) -> LabelledMesh:
 
 
 def _rim(points: np.ndarray, faces: np.ndarray) -> _Rim:
-    face, corner = np.nonzero(lone_sides(faces, len(points)))
+    face, corner = np.divmod(np.flatnonzero(lone_sides(faces, len(points))), 3)
     ends = np.stack([faces[face, corner], faces[face, (corner + 1) % 3]], axis=1)
     a, b = points[ends[:, 0]], points[ends[:, 1]]
     inward = points[faces[face, (corner + 2) % 3]] - 0.5 * (a + b)

@@ -141,8 +141,8 @@ def load_scene(
     label_map = load_labels(labels, {label: given.names[0] for label, given in own.items()})
     scene, warned = _with_materials(mesh, table, label_map, strict_materials, ceiling)
     scene = with_free_sheets(scene)
-    if scene.overlap_notes:
-        scene = replace(scene, notes=(*scene.notes, *scene.overlap_notes))
+    if notes := scene.overlap_notes:
+        scene = replace(scene, notes=(*scene.notes, *notes))
     for note in scene.notes:
         if note != warned:
             level = logging.WARNING if note.startswith(DOUBT) else logging.INFO

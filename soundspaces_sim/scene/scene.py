@@ -149,8 +149,8 @@ class Scene:
                 "Scene.from_arrays takes absorption or names of materials"
             )
         try:
-            vertices = np.array(self.vertices, float)
-            faces = np.array(self.faces)
+            vertices = np.array(self.vertices, float, order="C")
+            faces = np.array(self.faces, order="C")
             material = np.array(self.face_material)
             label = np.array(self.face_label)
         except (ValueError, TypeError) as error:

@@ -199,10 +199,13 @@ def test_a_centimetre_in_the_way_takes_no_wave() -> None:
     first arrival is there as without it. It is at most 6 dB too loud, what a screen takes of sound that touches it."""
     source, listener = np.array([-2.0, 0.3, -0.5]), np.array([2.0, 0.9, -0.5])
     alone = screen()
-    vertices = alone.vertices + [-0.275, 0.0, 0.01 - 0.5 * 0.275 / 2.0]
+    before = alone.vertices + [-0.275, 0.0, 0.01 - 0.5 * 0.275 / 2.0]
+    far = np.array(
+        [[-5.0, 0.0, 90.0], [5.0, 0.0, 90.0], [5.0, 1.0, 90.0]]
+    )  # else points are outside the scene
     both = ss.Scene.from_arrays(
-        np.concatenate([alone.vertices, vertices]),
-        np.concatenate([alone.faces, alone.faces + len(vertices)]),
+        np.concatenate([alone.vertices, before, far]),
+        np.concatenate([alone.faces, alone.faces + 4, [[8, 9, 10]]]),
         0.1, 0.1,
     )  # fmt: skip
     first, second = (

@@ -29,7 +29,7 @@ def _find_codes(corners: np.ndarray, least: np.ndarray, scale: float, code: np.n
         for axis in range(3):
             a, b, c = corners[i, 0, axis], corners[i, 1, axis], corners[i, 2, axis]
             middle = 0.5 * (min(a, b, c) + max(a, b, c))
-            cell = min(max(int((middle - least[axis]) * scale), 0), 2**_BITS - 1)
+            cell = int(min(max((middle - least[axis]) * scale, 0.0), 2.0**_BITS - 1.0))
             for shift, mask in _SPREAD:
                 cell = (cell | cell << shift) & mask
             code[i] |= cell << axis

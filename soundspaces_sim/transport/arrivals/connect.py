@@ -41,6 +41,7 @@ from soundspaces_sim.transport.arrivals.images import (
     end_at,
     image_of,
     leg_to,
+    moved_to,
     on_planes,
     reflected,
     reflection_point,
@@ -493,7 +494,7 @@ def _add_single(
     if not from_q.free:
         return
     at = met_edge(wedges, e, path.apex)
-    from_p, from_q = _towards(from_p, p, at), _towards(from_q, q, at)
+    from_p, from_q = moved_to(context.sight, p, from_p, at), moved_to(context.sight, q, from_q, at)
     leave_s, leave_r = _leaves(context.edges, e, path, s), _leaves(context.edges, e, path, r)
     for b in range(len(least)):
         mirror = _mirror(context, e, path, cos, b)
@@ -504,12 +505,6 @@ def _add_single(
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
     _add_by_edges(context, ends, (e, -1), (from_p, from_q), length, False, scratch)
-
-
-@part(forceinline=True)
-def _towards(leg: Leg, end: End, at: Vec3) -> Leg:
-    """A leg that ends on an edge, where rays end off it."""
-    return leg if end.plane >= 0 else Leg(leg.free, at, leg.triangle)
 
 
 @part
@@ -653,12 +648,12 @@ def _add_double(
         return
     met_e, met_f = met_edge(wedges, e, x.z_e), met_edge(wedges, f, x.z_f)
     if meets_both(wedges, x):
-        from_p, from_q = _towards(from_p, p, x.at_e), _towards(from_q, q, x.at_f)
+        met_e, met_f = x.at_e, x.at_f
     else:
-        from_p, from_q = _towards(from_p, p, met_e), _towards(from_q, q, met_f)
         longer = distance(p.at, met_e) + distance(met_e, met_f) + distance(met_f, q.at)
         length = _turned(scratch.field, spectrum, length, longer)
-    _add_by_edges(context, ends, (e, f), (from_p, from_q), length, False, scratch)
+    legs = moved_to(view, p, from_p, met_e), moved_to(view, q, from_q, met_f)
+    _add_by_edges(context, ends, (e, f), legs, length, False, scratch)
 
 
 @part

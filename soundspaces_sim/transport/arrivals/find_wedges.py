@@ -25,7 +25,7 @@ from soundspaces_sim.core.errors import SceneError
 from soundspaces_sim.core.numerics.kernel import kernel, over_rows, part
 from soundspaces_sim.core.numerics.rows import in_order, unique_rows
 from soundspaces_sim.core.numerics.vec3 import Vec3, add, divide, dot, length, put, row, scale, subtract
-from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, unoccluded
+from soundspaces_sim.scene.rays.geometry import Geometry, cast_ray, in_sight, unoccluded
 from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import beyond_sides, welded_faces
 from soundspaces_sim.transport.arrivals.plane_edges import Candidate, plane_edges
@@ -50,7 +50,7 @@ _ROUGH = 0.005  # m: an edge that strays more has places closed by noise
 _FITS = 0.7  # of a fitted edge's offset: a face strays less from its plane
 _STEP = 0.05  # m, along an edge and away from it, at which it is tried whether it is open
 _MOST_STEPS = 20_000_000  # along all edges
-_AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector, or of an edge
+_AROUND = np.array([1.0 / 6.0, 0.5, 5.0 / 6.0])  # shares of an open sector
 _CLEAR = 0.03  # m, off an edge: sound passes what is in the way of a ray by less
 _GENERIC = np.array([0.62348980, 0.78183148, 0.43388374])  # no edge is likely to be normal to it
 
@@ -492,15 +492,15 @@ def _try_ends(first: int, last: int, geometry: Geometry, wedges: Wedges, stands:
 
 @kernel
 def _move_clear(first: int, last: int, geometry: Geometry, wedges: Wedges) -> None:
-    """Move `wedges.clear` out to `_CLEAR` where nothing is between, along the whole edge."""
+    """Move `wedges.clear` of edges out to `_CLEAR`, if nothing is between at most of their places."""
     for e in range(first, last):
         off = row(wedges.offset, e)
         far = scale(max(_CLEAR / length(off), 1.0), off)
-        free = True
-        for share in _AROUND:
-            at = edge_point(wedges, e, share * wedges.length[e])
-            free &= unoccluded(geometry, add(at, off), add(at, far))
-        if free:
+        count, free = int(np.ceil(wedges.length[e] / _STEP)), 0
+        for k in range(count):
+            at = edge_point(wedges, e, (k + 0.5) / count * wedges.length[e])
+            free += in_sight(geometry, add(at, off), add(at, far))
+        if 2 * free > count:
             put(wedges.clear, e, far)
 
 

@@ -167,6 +167,15 @@ def leg_to(view: View, end: End, target: Vec3) -> Leg:
 
 
 @part
+def moved_to(view: View, end: End, leg: Leg, target: Vec3) -> Leg:
+    """A leg to a place beside the one to which rays have found it free."""
+    if end.plane < 0:
+        return Leg(leg.free, target, leg.triangle)
+    found, x = reflection_point(view.planes, end.plane, end.at, target)
+    return Leg(leg.free, x if found else leg.towards, leg.triangle)
+
+
+@part
 def reflected(view: View, end: End, leg: Leg, energy: np.ndarray) -> tuple[Vec3, int]:
     """(Unit vector in which sound leaves an end, group of what reflects it), after what that takes from energies
     (b,)."""

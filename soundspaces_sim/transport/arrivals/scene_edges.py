@@ -133,8 +133,8 @@ def _on_faces(
     """(n, 2) whether the other edge of a row lies in the first face, and in the second, of its own."""
     e = _wedge_of_row(mutual)[rows]
     sector = np.array([0.0, np.pi]) * wedges.n[e][:, None]
-    clear = np.linalg.norm(wedges.offset, axis=1)
-    near = ON_FACE + OFF_LINE * (clear[e] + clear[mutual.wedge[rows]]) / width
+    strays = np.linalg.norm(wedges.offset, axis=1)
+    near = ON_FACE + OFF_LINE * (strays[e] + strays[mutual.wedge[rows]]) / width
     off = np.abs(mutual.phi[rows, None] - sector[:, :, None])
     return np.asarray((off < near[:, None, None]).all(axis=2))
 

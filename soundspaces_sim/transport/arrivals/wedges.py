@@ -18,10 +18,10 @@ from soundspaces_sim.core.numerics.vec3 import Vec3, dot, length, row, subtract
 
 _PARALLEL = 0.999  # cosine between edges
 ON_FACE = 0.01  # rad: what is so near to a face is on it
-OFF_LINE = 0.25  # of the way by which rays clear an edge: a fitted edge's line may be so far off
+OFF_LINE = 0.25  # of `offset`: a fitted edge's line may be so far off
 _TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
 BOUNDARY_OFFSET = 1e-8  # rad: at a boundary the two parts of a field jump
-_INSET = 0.01  # m, from an edge's end: there, it often stands on something
+_INSET = 0.03  # m, from an edge's end: there, it often stands on something, maybe askew
 
 
 class Wedges(NamedTuple):
@@ -119,25 +119,21 @@ def cosine_taper(x: float) -> float:
 
 @part(forceinline=True)
 def boundary_tolerance(wedges: Wedges, e: int, s: WedgeCoordinates, r: WedgeCoordinates) -> float:
-    """Angle within which rays do not tell light from shadow, as they pass an edge at its `offset`, rad."""
+    """Angle within which rays do not tell light from shadow, rad: a mesh strays from an edge's line by up to its
+    `offset`."""
     m = wedges.offset[e]
     return _TOLERANCE + math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) * (1.0 / s.r + 1.0 / r.r)
 
 
 @part(forceinline=True)
-def _place_met(wedges: Wedges, e: int, z: float) -> float:
-    length = wedges.length[e]
-    inset = min(_INSET, 0.25 * length)
-    return min(max(z, inset), length - inset)
-
-
-@part(forceinline=True)
 def met_edge(wedges: Wedges, e: int, z: float) -> Vec3:
-    """Where a path meets an edge whose line it meets at `z` m; near the end beyond which that is."""
-    return edge_point(wedges, e, _place_met(wedges, e, z))
+    """Where a path meets an edge whose line it meets at `z` m; at the end beyond which that is."""
+    return edge_point(wedges, e, min(max(z, 0.0), wedges.length[e]))
 
 
 @part(forceinline=True)
 def met_point(wedges: Wedges, e: int, z: float) -> Vec3:
-    """The same, off the edge as rays need."""
-    return clear_point(wedges, e, _place_met(wedges, e, z))
+    """The same, off the edge and its ends as rays need."""
+    length = wedges.length[e]
+    inset = min(_INSET, 0.25 * length)
+    return clear_point(wedges, e, min(max(z, inset), length - inset))
