@@ -30,7 +30,7 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import beyond_sides, welded_faces
 from soundspaces_sim.transport.arrivals.plane_edges import Candidate, plane_edges
 from soundspaces_sim.transport.arrivals.specular_planes import OF_THREAD
-from soundspaces_sim.transport.arrivals.wedges import Wedges, edge_point, no_wedges
+from soundspaces_sim.transport.arrivals.wedges import INSET, Wedges, edge_point, no_wedges
 
 _log = logging.getLogger(__name__)
 MIN_ANGLE = np.deg2rad(20.0)  # between two faces: less is flat
@@ -492,15 +492,21 @@ def _try_ends(first: int, last: int, geometry: Geometry, wedges: Wedges, stands:
 
 @kernel
 def _move_clear(first: int, last: int, geometry: Geometry, wedges: Wedges) -> None:
-    """Move `wedges.clear` of edges out to `_CLEAR`, if nothing is between at most of their places."""
+    """Move `wedges.clear` out to `_CLEAR`, where nothing is between: neither at an end, as a sloped ceiling, nor
+    along half of the edge."""
     for e in range(first, last):
-        off = row(wedges.offset, e)
+        off, far_end = row(wedges.offset, e), wedges.length[e]
         far = scale(max(_CLEAR / length(off), 1.0), off)
-        count, free = int(np.ceil(wedges.length[e] / _STEP)), 0
+        inset = min(INSET, 0.25 * far_end)
+        ends = True
+        for z in (inset, far_end - inset):
+            at = edge_point(wedges, e, z)
+            ends &= in_sight(geometry, add(at, off), add(at, far))
+        count, free = int(np.ceil(far_end / _STEP)), 0
         for k in range(count):
-            at = edge_point(wedges, e, (k + 0.5) / count * wedges.length[e])
+            at = edge_point(wedges, e, (k + 0.5) / count * far_end)
             free += in_sight(geometry, add(at, off), add(at, far))
-        if 2 * free > count:
+        if ends and 2 * free > count:
             put(wedges.clear, e, far)
 
 

@@ -616,7 +616,7 @@ def make_cover(
     of_face: np.ndarray, corners: np.ndarray, planes: SpecularPlanes
 ) -> tuple[Cover, np.ndarray]:
     """The cells of the triangles (F, 3, 3) m of planes, and (P,) m² of those cells that hang together, of a plane's
-    parts the largest, or of its triangles if they have less; `of_face` (F,): plane of each triangle, -1: none."""
+    parts the largest (cells reach .1 m beyond triangles); `of_face` (F,): plane of each triangle, -1 for none."""
     from scipy import ndimage  # readers of datasets do without it
 
     order, start = faces_of_planes(of_face, len(planes.offset))
@@ -639,8 +639,7 @@ def make_cover(
         firsts.append(first)
         sizes.append(size)
         parts = np.bincount(ndimage.label(covered)[0][covered])
-        # Cells reach beyond triangles, so narrow parts have more of them than area.
-        area.append(min(size**2 * parts.max(initial=0), areas(corners[order[low:high]]).sum()))
+        area.append(size**2 * parts.max(initial=0))
         cells.append(_widened(covered, there).astype(np.uint8) + _widened(covered, near))
     shapes = np.array([c.shape for c in cells[1:]], np.int64).reshape(-1, 2)
     cover = Cover(
