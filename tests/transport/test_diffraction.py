@@ -200,9 +200,8 @@ def test_a_centimetre_in_the_way_takes_no_wave() -> None:
     source, listener = np.array([-2.0, 0.3, -0.5]), np.array([2.0, 0.9, -0.5])
     alone = screen()
     before = alone.vertices + [-0.275, 0.0, 0.01 - 0.5 * 0.275 / 2.0]
-    far = np.array(
-        [[-5.0, 0.0, 90.0], [5.0, 0.0, 90.0], [5.0, 1.0, 90.0]]
-    )  # else points are outside the scene
+    # Without it points are outside the scene.
+    far = np.array([[-5.0, 0.0, 90.0], [5.0, 0.0, 90.0], [5.0, 1.0, 90.0]])
     both = ss.Scene.from_arrays(
         np.concatenate([alone.vertices, before, far]),
         np.concatenate([alone.faces, alone.faces + 4, [[8, 9, 10]]]),

@@ -38,6 +38,7 @@ from soundspaces_sim.core.platforms import is_own, user_name
 _log = logging.getLogger(__name__)
 _Arrays = TypeVar("_Arrays", bound=tuple[Any, ...])
 _MOST = 2**31  # bytes of all files
+_SEAL = 32  # bytes of a digest
 _ALIGNED = 64  # bytes
 _MOST_HEAD = 2**16  # bytes of the line that describes the arrays
 _WORTH_S = 0.5  # what is made sooner is not kept
@@ -91,9 +92,9 @@ def _read(path: Path, like: type[_Arrays], fits: Callable[[_Arrays], bool]) -> _
         return None
     try:
         content = _content(path)
-        if content[:32].tobytes() != _seal(path, content[32:].data):
+        if content[:_SEAL].tobytes() != _seal(path, content[_SEAL:].data):
             raise ValueError("its digest differs")
-        tree: _Arrays = _tree(like, _unpacked(content, 32), "")
+        tree: _Arrays = _tree(like, _unpacked(content, _SEAL), "")
         if not fits(tree):
             raise ValueError("its arrays do not fit the scene")
     except (
@@ -145,10 +146,10 @@ def _write(path: Path, made: tuple[Any, ...]) -> None:
 
 
 def _packed(arrays: dict[str, np.ndarray]) -> list[Any]:
-    """A line of JSON, [name, type, shape] of each array, and their bytes, which begin aligned after a seal."""
+    """A line of JSON, [name, type, shape] of each array, and their bytes; the first begins aligned after a seal."""
     little = {n: np.ascontiguousarray(a, a.dtype.newbyteorder("<")) for n, a in arrays.items()}
     head = json.dumps([[n, a.dtype.str, a.shape] for n, a in little.items()]).encode()
-    head += b" " * (-(32 + len(head) + 1) % _ALIGNED) + b"\n"
+    head += b" " * (-(_SEAL + len(head) + 1) % _ALIGNED) + b"\n"
     return [head, *(a.ravel().view(np.uint8).data for a in little.values())]
 
 

@@ -647,9 +647,7 @@ def _add_double(
     if not two_edge_field(wedges, x, spectrum, scratch.least, scratch.double, scratch.field):
         return
     met_e, met_f = met_edge(wedges, e, x.z_e), met_edge(wedges, f, x.z_f)
-    if meets_both(wedges, x):
-        met_e, met_f = x.at_e, x.at_f
-    else:
+    if not meets_both(wedges, x):
         longer = distance(p.at, met_e) + distance(met_e, met_f) + distance(met_f, q.at)
         length = _turned(scratch.field, spectrum, length, longer)
     legs = moved_to(view, p, from_p, met_e), moved_to(view, q, from_q, met_f)

@@ -30,7 +30,13 @@ from soundspaces_sim.scene.scene import Scene
 from soundspaces_sim.scene.triangles import beyond_sides, welded_faces
 from soundspaces_sim.transport.arrivals.plane_edges import Candidate, plane_edges
 from soundspaces_sim.transport.arrivals.specular_planes import OF_THREAD
-from soundspaces_sim.transport.arrivals.wedges import INSET, Wedges, edge_point, no_wedges
+from soundspaces_sim.transport.arrivals.wedges import (
+    Wedges,
+    clear_point,
+    edge_point,
+    met_point,
+    no_wedges,
+)
 
 _log = logging.getLogger(__name__)
 MIN_ANGLE = np.deg2rad(20.0)  # between two faces: less is flat
@@ -82,6 +88,7 @@ def find_and_tell(scene: Scene) -> tuple[Wedges, str]:
     ]
     wedges = _joined(wedges, _without_twins(_joined(*fitted)))
     over_rows(_try_ends, len(wedges.n), scene.geometry, wedges, wedges.stands)
+    wedges = wedges._replace(clear=wedges.offset.copy())
     over_rows(_move_clear, len(wedges.n), scene.geometry, wedges)
     text = (
         f"{len(wedges.n)} edges diffract, {wedges.length.sum():.0f} m: {count} ({sides:.0f} m) by sides of "
@@ -102,9 +109,7 @@ def _tried(scene: Scene, candidates: list[Candidate]) -> Wedges:
     bisector = np.cos(half) * face + np.sin(half) * normal
     offset = (scene.geometry.epsilon + margin + 10.0**-_WELD)[:, None] * bisector
     stands = np.zeros((len(n), 2), np.bool_)
-    return _open_parts(
-        scene, Wedges(start, along, length, face, normal, n, offset, offset.copy(), stands)
-    )
+    return _open_parts(scene, Wedges(start, along, length, face, normal, n, offset, offset, stands))
 
 
 def _longest_first(wedges: Wedges) -> Wedges:
@@ -170,7 +175,7 @@ def _without_twins(wedges: Wedges) -> Wedges:
                 n[k] = 2.0
                 start[k] -= 0.5 * thick[i] * normal[i]
                 offset[k] = -np.linalg.norm(offset[k]) * face[i]
-    wedges = wedges._replace(n=n, start=start, offset=offset, clear=offset.copy())
+    wedges = wedges._replace(n=n, start=start, offset=offset)
     return Wedges(*(column[kept] for column in wedges))
 
 
@@ -492,20 +497,19 @@ def _try_ends(first: int, last: int, geometry: Geometry, wedges: Wedges, stands:
 
 @kernel
 def _move_clear(first: int, last: int, geometry: Geometry, wedges: Wedges) -> None:
-    """Move `wedges.clear` out to `_CLEAR`, where nothing is between: neither at an end, as a sloped ceiling, nor
-    along half of the edge."""
+    """Move `wedges.clear`, which is `offset`, out to `_CLEAR`, where nothing is between: neither at an end, as a
+    sloped ceiling, nor along half of the edge."""
     for e in range(first, last):
         off, far_end = row(wedges.offset, e), wedges.length[e]
         far = scale(max(_CLEAR / length(off), 1.0), off)
-        inset = min(INSET, 0.25 * far_end)
-        ends = True
-        for z in (inset, far_end - inset):
-            at = edge_point(wedges, e, z)
-            ends &= in_sight(geometry, add(at, off), add(at, far))
+        out, ends = subtract(far, off), True
+        for z in (0.0, far_end):
+            at = met_point(wedges, e, z)
+            ends &= in_sight(geometry, at, add(at, out))
         count, free = int(np.ceil(far_end / _STEP)), 0
         for k in range(count):
-            at = edge_point(wedges, e, (k + 0.5) / count * far_end)
-            free += in_sight(geometry, add(at, off), add(at, far))
+            at = clear_point(wedges, e, (k + 0.5) / count * far_end)
+            free += in_sight(geometry, at, add(at, out))
         if ends and 2 * free > count:
             put(wedges.clear, e, far)
 

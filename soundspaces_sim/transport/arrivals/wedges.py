@@ -21,7 +21,7 @@ ON_FACE = 0.01  # rad: what is so near to a face is on it
 OFF_LINE = 0.25  # of `offset`: a fitted edge's line may be so far off
 _TOLERANCE = 1e-5  # rad, of rays about a shadow boundary
 BOUNDARY_OFFSET = 1e-8  # rad: at a boundary the two parts of a field jump
-INSET = 0.01  # m, from an edge's end: there, it often stands on something
+_INSET = 0.01  # m, from an edge's end: there, it often stands on something
 
 
 class Wedges(NamedTuple):
@@ -135,5 +135,5 @@ def met_edge(wedges: Wedges, e: int, z: float) -> Vec3:
 def met_point(wedges: Wedges, e: int, z: float) -> Vec3:
     """The same, off the edge and its ends as rays need."""
     length = wedges.length[e]
-    inset = min(INSET, 0.25 * length)
+    inset = min(_INSET, 0.25 * length)
     return clear_point(wedges, e, min(max(z, inset), length - inset))
