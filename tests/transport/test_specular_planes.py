@@ -45,6 +45,34 @@ def test_a_rough_wall_that_is_wound_both_ways_is_one_plane() -> None:
     assert (planes.of_face == 0).all()
 
 
+def _sheet(rng: np.random.Generator, across: float, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """(Vertices, faces) 2.1 m long and so wide, any way round, in triangles of 4 cm whose corners stray by `noise` m
+    and of which 3 % are missing."""
+    i, j = round(across / 0.04), 53
+    x, y = np.meshgrid(np.linspace(0.0, across, i + 1), np.linspace(0.0, 2.1, j), indexing="ij")
+    v = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    corner = (np.arange(i)[:, None] * j + np.arange(j - 1)).ravel()
+    faces = np.concatenate(
+        [
+            np.column_stack([corner, corner + j, corner + j + 1]),
+            np.column_stack([corner, corner + j + 1, corner + 1]),
+        ]
+    )
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return v @ turn + rng.uniform(-noise, noise, v.shape), faces[rng.random(len(faces)) < 0.97]
+
+
+@pytest.mark.parametrize(
+    ("across", "noise", "number"),
+    [(0.16, 0.0, 0), (0.16, 0.004, 0), (0.48, 0.0, 1), (1.2, 0.0, 1), (1.2, 0.004, 1)],
+)
+def test_a_strip_is_no_mirror(across: float, noise: float, number: int) -> None:
+    """As the side of a door's opening: in CAD as on a scan, however it lies."""
+    for seed in range(8):
+        planes = group_planes(*_sheet(np.random.default_rng(seed), across, noise))
+        assert len(planes.offset) == number
+
+
 def _below_a_slab(thick: float) -> ss.Scene:
     """A floor at 0, and a slab whose underside is 1 m above it; both absorb a fifth."""
     v, f = _slab((30.0, 30.0, thick), 1.0 + 0.5 * thick)

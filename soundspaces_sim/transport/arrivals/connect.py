@@ -20,6 +20,7 @@ from soundspaces_sim.transport.arrivals.double_wedge import DoubleWedgeScratch
 from soundspaces_sim.transport.arrivals.field import (
     MOST_SHARE,
     EdgePath,
+    Front,
     Spectrum,
     Terms,
     Turn,
@@ -438,14 +439,23 @@ def _single_may_be_heard(
 
 
 @part
-def _loudest(path: EdgePath, terms: Terms, spectrum: Spectrum, least: np.ndarray) -> int:
-    """The band in which the path's wave is farthest above `least`, by a bound."""
-    loudest, most = 0, 0.0
+def _is_heard(
+    context: Context,
+    e: int,
+    path: EdgePath,
+    terms: Terms,
+    front: Front,
+    cos: tuple[float, float],
+    least: np.ndarray,
+) -> bool:
+    """Whether the path's wave is above `least` in any band, of those where a bound of it is."""
     for b in range(len(least)):
-        bound = most_of_edge(path, terms, spectrum.k[b, 0]) ** 2
-        if bound > most * least[b]:
-            loudest, most = b, bound / max(least[b], _LITTLE)
-    return loudest if most > 1.0 else -1
+        k = context.spectrum.k[b, 0]
+        if most_of_edge(path, terms, k) ** 2 > least[b]:
+            p = field_at(path, front, k, _mirror(context, e, path, cos, b))
+            if p.real**2 + p.imag**2 > least[b]:
+                return True
+    return False
 
 
 @part(forceinline=True)
@@ -479,12 +489,8 @@ def _add_single(
     exact &= path.minus == r.phi - s.phi and path.plus == plus
     if not (exact and path.other == 2.0 * math.pi * path.n - plus):
         terms = terms_of(path)  # an angle was moved to the other side of its boundary
-    loudest = _loudest(path, terms, spectrum, least)
-    if loudest < 0:
-        return
     front, cos = front_of(path, terms), _cosines(path, s, r, (of_s, of_r, of_edge))
-    first = field_at(path, front, spectrum.k[loudest, 0], _mirror(context, e, path, cos, loudest))
-    if first.real**2 + first.imag**2 <= least[loudest]:
+    if not _is_heard(context, e, path, terms, front, cos, least):
         return
     at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
     from_p = leg_to(context.sight, p, at)
