@@ -122,13 +122,13 @@ _BANDS = ((88.0, 176.0), (176.0, 775.0))
 @ci_slow
 @pytest.mark.parametrize("name", ["demo", "home-7003"])
 def test_first_sound_out_of_sight_against_finite_differences(name: str) -> None:
-    """Two furnished homes of one material, 3 sources by 24 listeners, those out of sight: the first 10 ms are right by 3
+    """Two furnished homes of one material, 8 sources by 24 listeners, those out of sight: the first 10 ms are right by 3
     dB in the mean over pairs and by 8 dB in single ones (root mean square)."""
     given = ss.load_scene(name)
     scene = ss.Scene.from_arrays(given.vertices, given.faces, ABSORPTION, 0.15)
     room = Room(scene)
     points = room.centres(places_of(scene))
-    sources = points[[1, 10, 19]]
+    sources = points[1::3]
     config = ss.SimulationConfig(
         bands=(*(f for f, _ in _BANDS), _BANDS[-1][1], 3409.0), walks=1000, duration=0.1
     )
@@ -147,7 +147,7 @@ def test_first_sound_out_of_sight_against_finite_differences(name: str) -> None:
             energy = energy + share @ echoes.energy[s, i, :, 0]
             level = 10.0 * np.log10(4.0 * np.pi * energy[:2] * ((points[i] - source) ** 2).sum())
             off.append(level - [level_between(response, first, last, band) for band in _BANDS])
-    assert len(off) > 40
+    assert len(off) > 100
     mean, spread = np.mean(off, axis=0), np.sqrt(np.mean(np.square(off), axis=0))
     assert (np.abs(mean) < 3.0).all() and (spread < 8.0).all(), (mean, spread)
 
