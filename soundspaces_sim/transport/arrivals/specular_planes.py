@@ -63,7 +63,8 @@ class Grain(NamedTuple):
 
 
 #: Walls mirror sound; at the edges of faces it bends.
-WALLS, FACES = Grain(0.3, 0.03, 0.05, 0.5, 0.4), Grain(0.03, 0.0075, 0.015, 0.3, 0.0)
+WALLS = Grain(area=0.3, seed=0.03, offset=0.05, patch=0.5, width=0.4)
+FACES = Grain(area=0.03, seed=0.0075, offset=0.015, patch=0.3, width=0.0)
 
 
 class SpecularPlanes(NamedTuple):
