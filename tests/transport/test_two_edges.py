@@ -13,7 +13,13 @@ from soundspaces_sim.core.numerics.vec3 import row
 from soundspaces_sim.transport.arrivals.connect import Context, Scratch, _double_may_be_heard
 from soundspaces_sim.transport.arrivals.prepared import prepare_wedges
 from soundspaces_sim.transport.arrivals.technique import context_of, direct_sound
-from soundspaces_sim.transport.arrivals.two_edges import meets_both, two_edge_field, two_edge_path
+from soundspaces_sim.transport.arrivals.two_edges import (
+    estimate,
+    meets_both,
+    shares_of,
+    two_edge_field,
+    two_edge_path,
+)
 from soundspaces_sim.transport.integrator import simulate_tile
 from soundspaces_sim.transport.preparation import make_model
 from soundspaces_sim.transport.tile import make_side, make_tile
@@ -93,9 +99,9 @@ def test_paths_by_two_edges_are_shortest() -> None:
 
 @kernel
 def _bounded(context: Context, scratch: Scratch, found: np.ndarray) -> None:
-    """Counts (2,) of paths by two edges between all points whose lowest wave number has the field of (T34), and of
-    those that may be heard where half of that energy is."""
-    a, b, edges = context.a, context.b, context.edges
+    """Counts (4,): paths by two edges between all points, those whose field (T34) at the lowest wave number is at most 3
+    dB above what is estimated; of those that meet both edges, those that may be heard where half of that energy is."""
+    a, b, edges, spectrum = context.a, context.b, context.edges, context.spectrum
     for i in range(len(a.points)):
         for j in range(len(b.points)):
             u, v = a.ends[i], b.ends[j]
@@ -105,17 +111,22 @@ def _bounded(context: Context, scratch: Scratch, found: np.ndarray) -> None:
                         continue
                     e, f = a.seen.wedge[a.seen.link_row[n]], b.seen.wedge[b.seen.link_row[m]]
                     ok, x = two_edge_path(edges.wedges, e, f, row(a.points, i), row(b.points, j))
-                    if not (ok and meets_both(edges.wedges, x)):
+                    if not ok:
                         continue
                     scratch.least[:] = 0.0
+                    shares = shares_of(edges.wedges, x)
                     two_edge_field(
-                        edges.wedges, x, context.spectrum, scratch.least, scratch.double, scratch.field
+                        edges.wedges, x, shares, spectrum, scratch.least, scratch.double, scratch.field
                     )
                     for k in range(len(scratch.least)):
                         scratch.least[k] = 0.5 * abs(scratch.field[k, 0]) ** 2
                     found[0] += 1
-                    if _double_may_be_heard(context, a.seen, b.seen, n, m, 0.0, False, scratch.least):
-                        found[1] += 1
+                    found[1] += estimate(edges.wedges, x, shares, spectrum.k[0, 0]) > scratch.least[0]
+                    if meets_both(edges.wedges, x):
+                        found[2] += 1
+                        found[3] += _double_may_be_heard(
+                            context, a.seen, b.seen, n, m, 0.0, False, scratch.least
+                        )
 
 
 @pytest.mark.parametrize("size", [0.15, 0.6, 3.0])
@@ -133,6 +144,6 @@ def test_what_two_edges_bring_is_not_estimated_too_low(size: float) -> None:
     sides = make_side(model, points[:20]), make_side(model, points[20:])
     tile = make_tile(sides[0], sides[1])
     context, scratch = context_of(tile, *direct_sound(tile))
-    found = np.zeros(2, np.int64)
+    found = np.zeros(4, np.int64)
     _bounded(context, scratch(1), found)
-    assert found[0] >= 300 and found[1] == found[0]
+    assert found[2] >= 300 and found[1] == found[0] and found[3] == found[2], found

@@ -21,10 +21,11 @@ from tests.transport.boundary_elements import Body, box, slab
 from tests.transport.edge_walks import SPEED, Walk
 from tests.transport.far_round import CASES, TABLE, far_round
 from tests.transport.test_edge_walks import levels_of
-from tests.transport.waves_in_rooms import ABSORPTION, Room, level_between
+from tests.transport.waves_in_rooms import ABSORPTION, Room, energy_until, share_until, step_of
 
 _SPACING = 0.3  # m, between places of an edge
-_FIRST = 0.010  # s
+_UNTIL = (0.010, 0.020, 0.040)  # s, after the first arrival
+_HEARD = 0.085  # s
 
 
 @kernel
@@ -86,44 +87,54 @@ def test_arrivals_are_the_same_with_every_seed() -> None:
 
 
 def test_level_of_a_way() -> None:
-    """Three walls of 4 cm, one behind the other: sound goes over six edges with the energy of (T34e) by the length of the
-    string over them."""
+    """Three walls of 4 cm, one behind the other: sound goes over their edges with the energy of (T34e) by the length of
+    the string over them."""
     walls = [(-1.0, 1.5), (0.0, 1.8), (1.2, 1.6)]  # m, middle and top
     source, place = np.array([-2.5, 0.3]), np.array([2.9, 0.2])
-    corners = [(x + side, top) for x, top in walls for side in (-0.02, 0.02)]
-    leg = np.linalg.norm(np.diff([source, *corners, place], axis=0), axis=1)
+    at = np.array([source, (-1.02, 1.5), (-0.02, 1.8), (0.02, 1.8), (1.22, 1.6), place])
+    length = np.linalg.norm(np.diff(at, axis=0), axis=1).sum()
     bodies = [slab(x - 0.02, x + 0.02, top) for x, top in walls]
-    walk, straight = (
-        Walk(bodies, tuple(source), tuple(place), tuple(place)),
-        np.linalg.norm(place - source),
-    )
-    wave = SPEED / walk.frequencies()
-    near = (5.0 * wave / leg[1:-1].sum()) ** 2
-    law = 3.0 + 40.0 * (1.0 + near) / (1.0 / 3.0 + near) * (leg.sum() - straight) / wave
-    expected = 10.0 * np.log10((1.0 / law).mean(axis=1) / leg.sum())
+    walk = Walk(bodies, tuple(source), tuple(place), tuple(place))
+    screen = 3.0 + 20.0 * (length - np.linalg.norm(place - source)) * walk.frequencies() / SPEED
+    expected = 10.0 * np.log10((screen**-2.0).mean(axis=1) / length)
     np.testing.assert_allclose(levels_of(walk, place[None])[0], expected, atol=0.1)
 
 
 def test_levels_far_round() -> None:
     """Six pairs of walls in free air, four listeners each, deep in the shadow, where sound is 17 to 50 dB below a free
-    field: the law for rooms and towns is too loud, by 5 to 10 dB (root mean square), and nowhere 2 dB too quiet."""
+    field: right by 2 dB in the mean, and by 3 dB in the lower two bands, 4.5 and 5.5 dB above (root mean square)."""
     off = []
     for seed, exact in enumerate(json.loads(TABLE.read_text())):
         walk, places = far_round(seed)
         off.append(levels_of(walk, places) - np.array(exact))
     assert len(off) == CASES
-    assert (np.sqrt(np.mean(np.square(off), axis=(0, 1))) < [5.5, 6.0, 8.0, 10.5]).all(), off
-    assert np.min(off) > -2.0, off
+    assert (np.abs(np.mean(off, axis=(0, 1))) < 2.0).all(), off
+    assert (np.sqrt(np.mean(np.square(off), axis=(0, 1))) < [3.0, 3.0, 4.5, 5.5]).all(), off
 
 
 _BANDS = ((88.0, 176.0), (176.0, 775.0))
 
 
+def test_a_band_is_told_from_what_is_below() -> None:
+    """A pulse in the middle of a tone of 30 Hz that has a tenth of its height: both bands have what they have of the pulse
+    alone, to 0.1 dB from 5 ms before it on, and at the pulse half of that."""
+    steps = step_of(0.15)
+    x = np.arange(steps) / steps
+    pulse, tone = np.zeros((1, steps)), 0.1 * np.sin(np.pi * x) ** 2 * np.sin(2.0 * np.pi * 4.5 * x)
+    pulse[0, steps // 2] = 1.0
+    for band in _BANDS:
+        alone, both = energy_until(pulse, band)[0], energy_until(pulse + tone, band)[0]
+        after = slice(steps // 2 - step_of(0.005), steps // 2 + step_of(0.03))
+        np.testing.assert_allclose(alone[steps // 2], share_until(np.zeros(1), band)[0], atol=1e-6)
+        np.testing.assert_allclose(alone[steps // 2], 0.5, atol=0.1)
+        np.testing.assert_allclose(10.0 * np.log10(both[after] / alone[after]), 0.0, atol=0.1)
+
+
 @ci_slow
 @pytest.mark.parametrize("name", ["demo", "home-7003"])
 def test_first_sound_out_of_sight_against_finite_differences(name: str) -> None:
-    """Two furnished homes of one material, 8 sources by 24 listeners, those out of sight: the first 10 ms are right by 3
-    dB in the mean over pairs and by 8 dB in single ones (root mean square)."""
+    """Two furnished homes of one material, 8 sources by 24 listeners, those out of sight: the energy up to 10, 20 and
+    40 ms after the first arrival is right by 4 dB in the mean over pairs and by 8 dB in single ones (root mean square)."""
     given = ss.load_scene(name)
     scene = ss.Scene.from_arrays(given.vertices, given.faces, ABSORPTION, 0.15)
     room = Room(scene)
@@ -133,23 +144,28 @@ def test_first_sound_out_of_sight_against_finite_differences(name: str) -> None:
         bands=(*(f for f, _ in _BANDS), _BANDS[-1][1], 3409.0), walks=1000, duration=0.1
     )
     echoes, off = ss.simulate(scene, sources, points, config), []
-    bins = echoes.time_edges
+    middle = 0.5 * (echoes.time_edges[1:] + echoes.time_edges[:-1])
     for s, source in enumerate(sources):
-        exact = room.responses(source, points, 0.06)
-        for i, response in enumerate(exact):
+        responses = room.responses(source, points, _HEARD)
+        exact = np.stack([energy_until(responses, band) for band in _BANDS], axis=1)
+        for i, point in enumerate(points):
             arrivals = echoes[s, i].arrivals
-            if (points[i] == source).all() or any(not a.planes and not a.edges for a in arrivals):
+            if (point == source).all() or any(not a.planes and not a.edges for a in arrivals):
                 continue
+            delay = np.concatenate([[a.delay for a in arrivals], middle])
+            energy = np.concatenate([[a.energy for a in arrivals], echoes.energy[s, i, :, 0]])
+            energy = energy * 4.0 * np.pi * ((point - source) ** 2).sum()
             first = min(a.delay for a in arrivals)
-            last = first + _FIRST
-            energy = sum(a.energy for a in arrivals if a.delay < last)
-            share = np.clip((last - bins[:-1]) / np.diff(bins), 0.0, 1.0)
-            energy = energy + share @ echoes.energy[s, i, :, 0]
-            level = 10.0 * np.log10(4.0 * np.pi * energy[:2] * ((points[i] - source) ** 2).sum())
-            off.append(level - [level_between(response, first, last, band) for band in _BANDS])
-    assert len(off) > 100
-    mean, spread = np.mean(off, axis=0), np.sqrt(np.mean(np.square(off), axis=0))
-    assert (np.abs(mean) < 3.0).all() and (spread < 8.0).all(), (mean, spread)
+            if first + _UNTIL[-1] > _HEARD - 0.01:
+                continue
+            for until in first + np.array(_UNTIL):
+                for b, band in enumerate(_BANDS):
+                    own = energy[:, b] @ share_until(until - delay, band)
+                    off.append(10.0 * np.log10(own / exact[i, b, step_of(until)]))
+    level = np.reshape(off, (-1, len(_UNTIL), len(_BANDS)))
+    assert len(level) > 100
+    mean, spread = level.mean(axis=0), np.sqrt(np.square(level).mean(axis=0))
+    assert (np.abs(mean) < 4.0).all() and (spread < 8.0).all(), (mean, spread)
 
 
 @pytest.mark.parametrize("corner", [-0.01, 0.0, 0.006, 0.02])

@@ -7,8 +7,11 @@ cell, as p_tt - c² lap p = delta(t) h³ / dt² has, with c dt = h / sqrt 3.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import trimesh
+from scipy.signal import butter, sosfreqz
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 import soundspaces_sim as ss
@@ -21,6 +24,8 @@ ABSORPTION = 0.29
 _AWAY = (0.37, 0.26, 0.15)  # of a cell: no wall of a scene lies on cells' centres
 _AROUND = 3  # cells
 _AGAIN = 1e-4  # m, past a triangle, from where the next one is looked for
+_LONGEST = 4096  # steps of a response
+_SOFT = 0.005  # s, over which a response ends
 _TIME_STEP = STEP / SPEED / np.sqrt(3.0)
 _FREE = 3.0 * STEP / (4.0 * np.pi)  # m, |P| r of a pulse
 
@@ -79,10 +84,39 @@ class Room:
         return np.asarray(out * (np.linalg.norm(points - source, axis=1)[:, None] / _FREE))
 
 
-def level_between(response: np.ndarray, first: float, last: float, band: tuple[float, float]) -> float:
-    """dB, mean square in a band of what a response has from a first to a last instant, s, with soft ends."""
-    t = np.arange(len(response)) * _TIME_STEP
-    window = np.sin(0.5 * np.pi * np.clip((t - first + 0.002) / 0.0015, 0.0, 1.0))
-    window *= np.sin(0.5 * np.pi * np.clip((last + 0.003 - t) / 0.003, 0.0, 1.0))
-    p = np.exp(-2j * np.pi * np.geomspace(*band, 60)[:, None] * t) @ (response * window)
-    return float(10.0 * np.log10((np.abs(p) ** 2).mean()))
+def _filtered(pulses: np.ndarray, band: tuple[float, float]) -> np.ndarray:
+    """(n, 2 `_LONGEST`) what a band-pass without phase leaves of responses (n, steps); what it puts before the first
+    step is at the end. A band must be cut out before an instant is: within 10 ms a tone of 40 Hz has any frequency."""
+    sos = butter(4, band, "bandpass", fs=1.0 / _TIME_STEP, output="sos")
+    gain = np.abs(sosfreqz(sos, 2.0 * np.pi * np.fft.rfftfreq(2 * _LONGEST))[1]) ** 2
+    return np.asarray(
+        np.fft.irfft(np.fft.rfft(pulses, 2 * _LONGEST, axis=1) * gain, 2 * _LONGEST, axis=1)
+    )
+
+
+def energy_until(responses: np.ndarray, band: tuple[float, float]) -> np.ndarray:
+    """(n, steps) energy that responses (n, steps) have in a band up to each step, over that of a pulse of 1 in all."""
+    steps = responses.shape[1]
+    soft = np.clip((steps - np.arange(steps)) * _TIME_STEP / _SOFT, 0.0, 1.0)
+    energy = _filtered(responses * np.sin(0.5 * np.pi * soft) ** 2, band) ** 2
+    before = energy[:, _LONGEST:].sum(axis=1)
+    return np.asarray(before[:, None] + np.cumsum(energy[:, :steps], axis=1)) / _of_pulse(band)[1]
+
+
+@cache
+def _of_pulse(band: tuple[float, float]) -> tuple[np.ndarray, float]:
+    """(Share of the energy of a filtered pulse that comes up to each step, from `_LONGEST` before it; its energy)."""
+    pulse = np.zeros((1, _LONGEST))
+    pulse[0, 0] = 1.0
+    energy = np.roll(_filtered(pulse, band)[0] ** 2, _LONGEST)
+    return np.cumsum(energy) / energy.sum(), float(energy.sum())
+
+
+def share_until(t: np.ndarray, band: tuple[float, float]) -> np.ndarray:
+    """Share of the energy of a pulse, in a band as `energy_until` has it, that comes up to t s after the pulse."""
+    return np.asarray(np.interp(t / _TIME_STEP, np.arange(-_LONGEST, _LONGEST), _of_pulse(band)[0]))
+
+
+def step_of(t: float) -> int:
+    """The step at t s."""
+    return int(t / _TIME_STEP)

@@ -58,6 +58,7 @@ from soundspaces_sim.transport.arrivals.two_edges import (
     estimate,
     meets_both,
     path_length,
+    shares_of,
     two_edge_field,
     two_edge_path,
 )
@@ -439,6 +440,15 @@ def _single_may_be_heard(
 
 
 @part
+def _may_be_heard(path: EdgePath, terms: Terms, spectrum: Spectrum, least: np.ndarray) -> bool:
+    """Whether a bound of the path's wave is above `least` in any band."""
+    for b in range(len(least)):
+        if most_of_edge(path, terms, spectrum.k[b, 0]) ** 2 > least[b]:
+            return True
+    return False
+
+
+@part
 def _is_heard(
     context: Context,
     e: int,
@@ -489,6 +499,8 @@ def _add_single(
     exact &= path.minus == r.phi - s.phi and path.plus == plus
     if not (exact and path.other == 2.0 * math.pi * path.n - plus):
         terms = terms_of(path)  # an angle was moved to the other side of its boundary
+    if not _may_be_heard(path, terms, spectrum, least):
+        return
     front, cos = front_of(path, terms), _cosines(path, s, r, (of_s, of_r, of_edge))
     if not _is_heard(context, e, path, terms, front, cos, least):
         return
@@ -638,7 +650,8 @@ def _add_double(
     length, loud = path_length(x), False
     if ends.lit and length - straight > _MAX_DETOUR:
         return
-    most, lowest = estimate(wedges, x, spectrum.k[0, 0]), spectrum.k[0, 0]
+    shares, lowest = shares_of(wedges, x), spectrum.k[0, 0]
+    most = estimate(wedges, x, shares, lowest)
     for b in range(len(scratch.least)):  # each edge takes one over the root of the wave number
         loud = loud or most * (lowest / spectrum.k[b, 0]) ** 2 > scratch.least[b]
     if not loud:
@@ -650,7 +663,7 @@ def _add_double(
     from_q = leg_to(view, q, met_f)
     if not (from_q.free and unoccluded(view.geometry, met_e, met_f)):
         return
-    if not two_edge_field(wedges, x, spectrum, scratch.least, scratch.double, scratch.field):
+    if not two_edge_field(wedges, x, shares, spectrum, scratch.least, scratch.double, scratch.field):
         return
     met_e, met_f = met_edge(wedges, e, x.z_e), met_edge(wedges, f, x.z_f)
     if not meets_both(wedges, x):
@@ -671,7 +684,7 @@ def _add_way(
     from_p = choose_ways(edges.wedges, a.ways, i, of_q, b.seen.wedge, b.seen.phi, q, 0, way)
     from_q = choose_ways(edges.wedges, b.ways, j, of_p, a.seen.wedge, a.seen.phi, p, 1, way)
     m = n = count = 0
-    length = between = 0.0
+    length = 0.0
     while count == 0 and (m < from_p or n < from_q):
         if n == from_q or (m < from_p and way.total[0, m] <= way.total[1, n]):
             count = set_way(a.ways, i, way.last[0, m], False, way)
@@ -679,13 +692,13 @@ def _add_way(
         else:
             count = set_way(b.ways, j, way.last[1, n], True, way)
             n += 1
-        count, length, between = solve_way(context.sight, edges, count, p, q, way)
+        count, length = solve_way(context.sight, edges, count, p, q, way)
     if count < 2:
         return
     e, f = way.edge[0], way.edge[count - 1]
     if count == 2 and are_linked(edges.links, e, f):
         return
-    if way_field(length, between, distance(p, q), context.spectrum, scratch.least, scratch.field):
+    if way_field(length, distance(p, q), context.spectrum, scratch.least, scratch.field):
         to_e = Leg(True, edge_point(edges.wedges, e, way.z[0]), -1)
         to_f = Leg(True, edge_point(edges.wedges, f, way.z[count - 1]), -1)
         _add_by_edges(context, ends, (e, f), (to_e, to_f), length, count > 2, scratch)

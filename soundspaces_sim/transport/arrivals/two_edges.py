@@ -27,7 +27,6 @@ from soundspaces_sim.transport.arrivals.field import (
     detours_of_ends,
     field_at,
     front_of,
-    most_share,
     of_end,
     terms_of,
 )
@@ -167,7 +166,7 @@ def _detours_of_ends(
     )
 
 
-class _Shares(NamedTuple):
+class Shares(NamedTuple):
     """What decides how much of endless edges' field comes from between the ends of both."""
 
     e: tuple[float, float]  # m, detours by the ends of e; infinite where it goes on
@@ -263,7 +262,7 @@ def _ends_of(
 
 
 @part
-def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
+def shares_of(wedges: Wedges, x: TwoEdgePath) -> Shares:
     """(T33b)"""
     by_e, by_f = _detours_of_ends(wedges, x.e, x.f, (x.p, x.q), (x.at_e, x.at_f))
     z_e = line_coordinates(wedges, x.e, x.p)[0], line_coordinates(wedges, x.e, x.q)[0]
@@ -276,7 +275,7 @@ def _shares(wedges: Wedges, x: TwoEdgePath) -> _Shares:
     coupled = 2.0 / math.pi * math.asin(math.sqrt(x.r_p * x.r_q / ((x.r_p + w) * (w + x.r_q))))
     together = 1.0 - (1.0 - coupled) * 4.0 * turn_e * turn_f / (both * both)
     boundary = max(path_length(x) - distance(x.p, x.q), 0.0)
-    return _Shares(e, f, sign_e, sign_f, boundary, turn_e / both, turn_f / both, together)
+    return Shares(e, f, sign_e, sign_f, boundary, turn_e / both, turn_f / both, together)
 
 
 @part(forceinline=True)
@@ -288,7 +287,7 @@ def _share_of(
 
 
 @part(forceinline=True)
-def _share(s: _Shares, k: float) -> complex:
+def _share(s: Shares, k: float) -> complex:
     """Part of the field of endless edges that comes from between the ends of both (T33b)."""
     e, f = _share_of(k, s.e, s.sign_e, s.boundary), _share_of(k, s.f, s.sign_f, s.boundary)
     return (1.0 - s.together) * e * f + s.together * (s.of_e * e + s.of_f * f)
@@ -298,6 +297,7 @@ def _share(s: _Shares, k: float) -> complex:
 def two_edge_field(
     wedges: Wedges,
     x: TwoEdgePath,
+    shares: Shares,
     spectrum: Spectrum,
     least: np.ndarray,
     scratch: DoubleWedgeScratch,
@@ -305,8 +305,7 @@ def two_edge_field(
 ) -> bool:
     """Field of a path, 1/m, into `field` (b, g), without the phase of its length; at most twice the free field.
     Whether it has at least `least` (b,) of |p|² in some band; it falls with frequency, so the lowest band tells."""
-    shares, total = _shares(wedges, x), path_length(x)
-    ends, wave, weight = _across(wedges, x), scratch.wave, math.sqrt(x.taper)
+    total, ends, wave, weight = path_length(x), _across(wedges, x), scratch.wave, math.sqrt(x.taper)
     across, known, loud = ends.p_e + ends.w + ends.q_f, 0, False
     _set_ends(wedges, x, ends, scratch)
     for b in range(field.shape[0]):
@@ -315,7 +314,7 @@ def two_edge_field(
             k = spectrum.node[known]
             u = double_wedge_field(ends, k * across / total, scratch)
             wave[known] = u * math.sqrt(across) / total
-            if known == 0 and _is_faint(wave[0] * weight * _share(shares, k), least[0]):
+            if known == 0 and _squared(wave[0] * weight * _share(shares, k)) < _FALLS * least[0]:
                 return False
             known += 1
         for g in range(field.shape[1]):
@@ -323,9 +322,9 @@ def two_edge_field(
             for n in range(count):
                 u += spectrum.between[b, g, n] * wave[first + n]
             u *= weight * _share(shares, spectrum.k[b, g])
-            size = 0.5 * total * math.sqrt(u.real**2 + u.imag**2)
+            size = 0.5 * total * math.sqrt(_squared(u))
             field[b, g] = u / size if size > 1.0 else u
-        own = field[b, 0].real ** 2 + field[b, 0].imag ** 2
+        own = _squared(field[b, 0])
         loud = loud or own > least[b]
         if not loud and own < _FALLS * least[b]:
             return False
@@ -333,20 +332,15 @@ def two_edge_field(
 
 
 @part(forceinline=True)
-def _is_faint(u: complex, least: float) -> bool:
-    return u.real * u.real + u.imag * u.imag < _FALLS * least
+def _squared(u: complex) -> float:
+    return u.real * u.real + u.imag * u.imag
 
 
 @part
-def estimate(wedges: Wedges, x: TwoEdgePath, k: float) -> float:
-    """Of |p|² of a path at a wave number, 1/m²: by the product of coefficients, within some dB."""
-    u = _product_field(wedges, x, k)
-    (a, b), (c, d) = _detours_of_ends(wedges, x.e, x.f, (x.p, x.q), (x.at_e, x.at_f))
-    share = min(
-        most_share(k, (a, b), not 0.0 <= x.z_e <= wedges.length[x.e]),
-        most_share(k, (c, d), not 0.0 <= x.z_f <= wedges.length[x.f]),
-    )
-    return 2.0 * share * share * x.taper * (u.real * u.real + u.imag * u.imag)
+def estimate(wedges: Wedges, x: TwoEdgePath, shares: Shares, k: float) -> float:
+    """Of |p|² of a path at a wave number, 1/m²: by the product of coefficients, within some dB, with 3 dB to
+    spare."""
+    return 2.0 * x.taper * _squared(_share(shares, k)) * _squared(_product_field(wedges, x, k))
 
 
 @part

@@ -4,11 +4,11 @@ A point's ways are found once for all its pairs, as navigation meshes and visibi
 each other are the nodes (`scene_edges`), and the shortest way to each goes on from the shortest way to another one.
 From the last edge that the other point sees, the way goes straight. Rays have found every leg free.
 
-A way is pulled taut: every edge in turn has its shortest path between the places before and after. With its length
-l, the straight distance r and e between its first and its last edge, the field has what ISO 9613-2 (1996, eq. 14)
-leaves behind screens, reflections apart,
+A way is pulled taut: every edge in turn has its shortest path between the places before and after. By two edges or
+more sound comes as over two screens, each with half of the detour. With l the way's length and r that of a straight
+line, by what ISO 9613-2 (1996, eq. 14) leaves behind one screen, reflections apart,
 
-    |P|^2 = 1 / (l^2 (3 + 40 C (l - r) / lambda)),  C = (1 + (5 lambda / e)^2) / (1/3 + (5 lambda / e)^2).    (T34e)
+    |P|^2 = 1 / l^2 * (3 + 20 (l - r) / lambda)^-2.                                                        (T34e)
 
 It depends on how far round the way is and not on which edges a mesh has there.
 """
@@ -260,10 +260,9 @@ def _leave_out(n: int, count: int, scratch: WayScratch) -> None:
 @part
 def solve_way(
     view: View, edges: Edges, count: int, p: Vec3, q: Vec3, scratch: WayScratch
-) -> tuple[int, float, float]:
+) -> tuple[int, float]:
     """Pull the way at hand taut, or leave it as rays have found it, and leave out edges in whose light it passes:
-    (how many edges it has, its length, m, that between its first and its last edge); 0 if something is in the
-    way."""
+    (how many edges it has, its length, m); 0 if something is in the way."""
     wedges = edges.wedges
     while count > 0:
         for n in range(count):
@@ -273,20 +272,18 @@ def solve_way(
             for n in range(count):
                 scratch.z[n] = scratch.found[n]
             if not _all_free(view, wedges, count, p, q, scratch):
-                return 0, math.inf, 0.0
+                return 0, math.inf
         slack = _slack(view, wedges, count, p, q, scratch)
         if slack < 0:
             break
         _leave_out(slack, count, scratch)
         count -= 1
-    total = between = 0.0
+    total = 0.0
     for n in range(count + 1):
-        leg = distance(
+        total += distance(
             _place(wedges, scratch, n - 1, count, p, q), _place(wedges, scratch, n, count, p, q)
         )
-        total += leg
-        between += leg if 0 < n < count else 0.0
-    return count, total, between
+    return count, total
 
 
 @part
@@ -330,21 +327,13 @@ def are_linked(links: Links, e: int, f: int) -> bool:
 
 @part
 def way_field(
-    length: float,
-    between: float,
-    straight: float,
-    spectrum: Spectrum,
-    least: np.ndarray,
-    field: np.ndarray,
+    length: float, straight: float, spectrum: Spectrum, least: np.ndarray, field: np.ndarray
 ) -> bool:
-    """(T34e) of a way of this length, with so much between its first and its last edge, m, for ends this far apart:
-    1/m, into `field` (b, g). Whether it has at least `least` (b,) of |p|² in some band."""
+    """(T34e) of a way of this length, m, for ends this far apart: 1/m, into `field` (b, g). Whether it has at least
+    `least` (b,) of |p|² in some band."""
     detour, loud = max(length - straight, 0.0), False
     for b in range(field.shape[0]):
         for g in range(field.shape[1]):
-            wave = 2.0 * math.pi / spectrum.k[b, g]
-            near = (5.0 * wave) ** 2
-            several = (between * between + near) / (between * between / 3.0 + near)
-            field[b, g] = 1.0 / (length * math.sqrt(3.0 + 40.0 * several * detour / wave))
+            field[b, g] = 1.0 / (length * (3.0 + 20.0 * detour * spectrum.k[b, g] / (2.0 * math.pi)))
         loud = loud or field[b, 0].real ** 2 > least[b]
     return loud
