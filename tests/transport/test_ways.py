@@ -134,7 +134,7 @@ def test_a_band_is_told_from_what_is_below() -> None:
 @pytest.mark.parametrize("name", ["demo", "home-7003"])
 def test_first_sound_out_of_sight_against_finite_differences(name: str) -> None:
     """Two furnished homes of one material, 8 sources by 24 listeners, those out of sight: the energy up to 10, 20 and
-    40 ms after the first arrival is right by 4 dB in the mean over pairs and by 8 dB in single ones (root mean square)."""
+    40 ms after the first arrival is right by 3.5 dB in the mean over pairs and by 8 dB in single ones (root mean square)."""
     given = ss.load_scene(name)
     scene = ss.Scene.from_arrays(given.vertices, given.faces, ABSORPTION, 0.15)
     room = Room(scene)
@@ -165,7 +165,7 @@ def test_first_sound_out_of_sight_against_finite_differences(name: str) -> None:
     level = np.reshape(off, (-1, len(_UNTIL), len(_BANDS)))
     assert len(level) > 100
     mean, spread = level.mean(axis=0), np.sqrt(np.square(level).mean(axis=0))
-    assert (np.abs(mean) < 4.0).all() and (spread < 8.0).all(), (mean, spread)
+    assert (np.abs(mean) < 3.5).all() and (spread < 8.0).all(), (mean, spread)
 
 
 @pytest.mark.parametrize("corner", [-0.01, 0.0, 0.006, 0.02])
