@@ -440,15 +440,6 @@ def _single_may_be_heard(
 
 
 @part
-def _may_be_heard(path: EdgePath, terms: Terms, spectrum: Spectrum, least: np.ndarray) -> bool:
-    """Whether a bound of the path's wave is above `least` in any band."""
-    for b in range(len(least)):
-        if most_of_edge(path, terms, spectrum.k[b, 0]) ** 2 > least[b]:
-            return True
-    return False
-
-
-@part
 def _is_heard(
     context: Context,
     e: int,
@@ -499,8 +490,6 @@ def _add_single(
     exact &= path.minus == r.phi - s.phi and path.plus == plus
     if not (exact and path.other == 2.0 * math.pi * path.n - plus):
         terms = terms_of(path)  # an angle was moved to the other side of its boundary
-    if not _may_be_heard(path, terms, spectrum, least):
-        return
     front, cos = front_of(path, terms), _cosines(path, s, r, (of_s, of_r, of_edge))
     if not _is_heard(context, e, path, terms, front, cos, least):
         return
