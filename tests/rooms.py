@@ -85,11 +85,11 @@ def edges_alone(**settings: object) -> ss.SimulationConfig:
     return plain(**{**few, "radiance_transfer": False, "diffraction": True, **settings})
 
 
-def in_free_air(body: trimesh.Trimesh) -> ss.Scene:
-    """A rigid body in a room far off that takes nearly all."""
+def in_free_air(body: trimesh.Trimesh, absorption: float = 0.0) -> ss.Scene:
+    """A body, rigid by default, in a room far off that takes nearly all."""
     room = trimesh.creation.box(bounds=[[-20.0] * 3, [30.0] * 3])
     room.invert()
     faces = np.concatenate([body.faces, room.faces + len(body.vertices)])
     material = np.repeat([0, 1], [len(body.faces), len(room.faces)])
     vertices = np.concatenate([body.vertices, room.vertices])
-    return ss.Scene(vertices, faces, material, table([0.0, 0.9999], [0.0, 0.0]), name="body")
+    return ss.Scene(vertices, faces, material, table([absorption, 0.9999], [0.0, 0.0]), name="body")

@@ -15,7 +15,7 @@ from scipy.signal import butter, sosfreqz
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 import soundspaces_sim as ss
-from tests.transport.wave_twin import OPEN, SPEED, advance
+from tests.transport.wave_twin import OPEN, SPEED, advance, walls_of
 
 STEP = 0.045  # m: ten points per wave at 760 Hz
 ADMITTANCE = 0.05
@@ -74,8 +74,7 @@ class Room:
         p = np.zeros(self._links.shape, np.float32)
         before, cells = p.copy(), self._cells(points)
         p[tuple(self._cells(source))] = 1.0
-        loss = np.arange(7) * (0.5 * ADMITTANCE / np.sqrt(3.0))
-        keep, over = (1.0 - loss).astype(np.float32), (1.0 / (1.0 + loss)).astype(np.float32)
+        keep, over = walls_of(ADMITTANCE)
         out = np.empty((len(points), round(until / _TIME_STEP)))
         for n in range(out.shape[1]):
             out[:, n] = p[tuple(cells.T)]

@@ -8,7 +8,7 @@ and every wave meets at most two planes, one edge or two, or a plane and then ed
 up to eight edges. Numbers are those of docs/theory.md, section 5. A scene once:
 
     specular_planes, prepared     triangles grouped by plane equation
-    find_wedges, wedges           convex creases and free borders: rigid wedges of open angle n pi
+    find_wedges, wedges           convex creases and free borders: wedges of open angle n pi
     scene_edges                   which wedges see each other, which a face connects, which planes end there
 
 A point once, for all its pairs: `sight` has the planes that its rays meet, the wedges that it sees, and those that
@@ -24,9 +24,10 @@ A pair (`connect`, the one kernel), in four steps:
     parallel lines (`two_edges`); a way is pulled taut. Rays decide what is there.
  3. Field. sqrt(rho (1 - s)) for every plane, (T29a). One edge: the uniform theory of diffraction,
         P ~ sum over Theta, ± of cot((pi ± Theta) / 2n) F(k L a±(Theta)) S                              (T30)
-    with all four terms as one wave, in the light as in the shadow, and the share S of what comes from between the
-    edge's ends (T33a): so the sum (T29) is continuous where direct sound or reflections end, at corners too. Two
-    edges of one face: exact, waves to and fro included (T34, `double_wedge`). A way: by its length alone (T34e).
+    with all four terms as one wave, in the light as in the shadow, those of faces by what these reflect (T32), and
+    the share S of what comes from between the edge's ends (T33a): so the sum (T29) is continuous where direct sound
+    or reflections end, at corners too. Two edges of one rigid face: exact, waves to and fro included (T34,
+    `double_wedge`). A way: by its length alone (T34e).
  4. Sum (`waves`). An arrival of an echogram has an energy and the phase of its delay alone. So what is diffracted
     joins, as a pressure, what it arrives together with,
         P_j <- P_j + a_ij P_i e^(-jk (l_i - l_j))                                                       (T36)

@@ -30,6 +30,7 @@ from soundspaces_sim.transport.arrivals.field import (
     front_of,
     most_of_edge,
     most_share,
+    off_reflection,
     terms_by_turns,
     terms_of,
 )
@@ -323,32 +324,47 @@ def _stays(k: float, leaves: _Leaves) -> float:
 
 
 @part(forceinline=True)
-def _cosines(
-    path: EdgePath, s: WedgeCoordinates, r: WedgeCoordinates, turns: tuple[Turn, Turn, Turn]
-) -> tuple[float, float]:
-    """Of the angles at which both faces reflect between two ends: r sin(phi), and r sin(n pi - phi)."""
+def _cosines(path: EdgePath, turns: tuple[Turn, Turn, Turn]) -> tuple[float, float]:
+    """Of the angles of incidence on both faces: that of the end nearer to each, sin(beta) sin(phi_s) and sin(beta)
+    sin(n pi - phi_r)."""
     of_s, of_r, edge = turns
-    legs = path.d_s + path.d_r
-    sin = 2.0 * (s.r * of_s.half_sin * of_s.half_cos + r.r * of_r.half_sin * of_r.half_cos)
-    cos = s.r * (1.0 - 2.0 * of_s.half_sin**2) + r.r * (1.0 - 2.0 * of_r.half_sin**2)
-    second = edge.half_sin * cos - edge.half_cos * sin
-    return min(max(sin / legs, 0.0), 1.0), min(max(second / legs, 0.0), 1.0)
+    sin_s, sin_r = 2.0 * of_s.half_sin * of_s.half_cos, 2.0 * of_r.half_sin * of_r.half_cos
+    second = edge.half_sin * (1.0 - 2.0 * of_r.half_sin**2) - edge.half_cos * sin_r
+    return max(path.sin_beta * sin_s, 0.0), max(path.sin_beta * second, 0.0)
 
 
 @part(forceinline=True)
-def _mirror(
+def _image(context: Context, e: int, face: int, cos: float, off: float, band: int) -> float:
+    """What a face's image has of a rigid face's (T32), so far `off` the boundary of its reflection."""
+    mirrors = 0.0
+    if off < 1.0 and context.edges.plane[e, face] >= 0:
+        material = context.edges.material[e, face]
+        mirrors = math.sqrt(specular_reflectance(context.sight.surfaces, material, cos, band))
+    return off * context.edges.reflects[e, face, band] + (1.0 - off) * mirrors
+
+
+@part(forceinline=True)
+def _images(
     context: Context, e: int, path: EdgePath, cos: tuple[float, float], band: int
 ) -> tuple[float, float]:
-    """Amplitudes that both faces reflect; edges are rigid in the shadow."""
-    if path.minus >= math.pi:
-        return 1.0, 1.0
-    surfaces, plane, material = context.sight.surfaces, context.edges.plane, context.edges.material
-    first = second = 0.0
-    if plane[e, 0] >= 0:
-        first = math.sqrt(specular_reflectance(surfaces, material[e, 0], cos[0], band))
-    if plane[e, 1] >= 0:
-        second = math.sqrt(specular_reflectance(surfaces, material[e, 1], cos[1], band))
-    return first, second
+    """(T32) of both faces."""
+    first, second = off_reflection(path, path.plus), off_reflection(path, path.other)
+    return _image(context, e, 0, cos[0], first, band), _image(context, e, 1, cos[1], second, band)
+
+
+@part
+def _of_rigid(context: Context, e: int, phi: float, towards: float, band: int) -> tuple[float, float]:
+    """((T34b): share of a rigid edge's field, from an end at `phi` along a face towards another edge; the amplitude
+    that this face reflects)."""
+    n = context.edges.wedges.n[e]
+    face = 0 if towards < 0.5 * math.pi * n else 1
+    own, outer = context.edges.reflects[e, face, band], context.edges.reflects[e, 1 - face, band]
+    turn = abs(towards - phi)
+    less, more = (math.pi - turn) / (2.0 * n), (math.pi + turn) / (2.0 * n)
+    lost = (1.0 - own) * math.cos(less) * math.sin(more) + (1.0 - outer) * math.cos(more) * math.sin(
+        less
+    )
+    return 1.0 - lost / (2.0 * math.sin(math.pi / n)), own
 
 
 class _Gap(NamedTuple):
@@ -411,20 +427,27 @@ def _single_may_be_heard(
 ) -> bool:
     """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the
     four terms of (T30) far from their boundaries, which are sin(pi/n) / (cos²((phi_r ± phi_s)/2n) - cos²(pi/2n))
-    two by two, and never more than half of the geometrical wave each."""
+    two by two, and never more than half of the geometrical wave each. Where these cancel, what |F(x) - 1| <= 1 / 2x
+    and faces that absorb leave of each counts."""
     edges, spectrum = context.edges, context.spectrum
-    wedges, e = edges.wedges, a.wedge[n]
+    wedges, e, k = edges.wedges, a.wedge[n], spectrum.k[0, 0]
     legs, along = a.r[n] + b.r[m], b.z[m] - a.z[n]
     squared = legs * legs + along * along
     if least.flat * squared >= MOST_SHARE**2:
         return False
     both, cross = a.turn[n, 0] * b.turn[m, 0], a.turn[n, 1] * b.turn[m, 1]
     cos, size = edges.turn[e, 0] ** 2, 2.0 * edges.turn[e, 0] * edges.turn[e, 1]
-    of_terms = _SAFE * (_over(size, (both + cross) ** 2 - cos) + _over(size, (both - cross) ** 2 - cos))
-    falls = of_terms * of_terms * legs / (8.0 * math.pi * wedges.n[e] ** 2 * a.r[n] * b.r[m])
-    if MOST_SHARE**2 * falls <= least.falls * squared:
+    minus, plus = _over(size, (both + cross) ** 2 - cos), _over(size, (both - cross) ** 2 - cos)
+    both, cross = a.turn[n, 2] * b.turn[m, 2], a.turn[n, 3] * b.turn[m, 3]
+    total, product = math.sqrt(squared), a.r[n] * b.r[m]
+    near = 0.25 * total / product
+    near *= abs(_over(minus, (both + cross) ** 2)) + abs(_over(plus, (both - cross) ** 2))
+    most = abs(minus) + abs(plus)
+    far = abs(minus + plus) + edges.lost[e] * abs(plus)
+    scale = _SAFE**2 * legs / (8.0 * math.pi * wedges.n[e] ** 2 * product)
+    if MOST_SHARE**2 * scale * min(most, far + near / k) ** 2 <= least.falls * squared:
         return False
-    z, total = (a.z[n], b.z[m]), math.sqrt(squared)
+    z = a.z[n], b.z[m]
     gap = _gap_of(wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
     if gap.taper <= 0.0:
         return False
@@ -434,6 +457,7 @@ def _single_may_be_heard(
     gap = _Gap((start, end), gap.beyond, gap.taper)
     for band in range(len(heard)):
         k = spectrum.k[band, 0]
+        falls = scale * min(most, far + near / k) ** 2
         if min(_share_in(k, gap) * falls, k * MOST_SHARE**2) > heard[band] * squared * k:
             return True
     return False
@@ -452,8 +476,9 @@ def _is_heard(
     """Whether the path's wave is above `least` in any band, of those where a bound of it is."""
     for b in range(len(least)):
         k = context.spectrum.k[b, 0]
-        if most_of_edge(path, terms, k) ** 2 > least[b]:
-            p = field_at(path, front, k, _mirror(context, e, path, cos, b))
+        mirror = _images(context, e, path, cos, b)
+        if most_of_edge(path, terms, k, mirror) ** 2 > least[b]:
+            p = field_at(path, front, k, mirror)
             if p.real**2 + p.imag**2 > least[b]:
                 return True
     return False
@@ -490,7 +515,7 @@ def _add_single(
     exact &= path.minus == r.phi - s.phi and path.plus == plus
     if not (exact and path.other == 2.0 * math.pi * path.n - plus):
         terms = terms_of(path)  # an angle was moved to the other side of its boundary
-    front, cos = front_of(path, terms), _cosines(path, s, r, (of_s, of_r, of_edge))
+    front, cos = front_of(path, terms), _cosines(path, (of_s, of_r, of_edge))
     if not _is_heard(context, e, path, terms, front, cos, least):
         return
     at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
@@ -504,7 +529,7 @@ def _add_single(
     from_p, from_q = moved_to(context.sight, p, from_p, at), moved_to(context.sight, q, from_q, at)
     leave_s, leave_r = _leaves(context.edges, e, path, s), _leaves(context.edges, e, path, r)
     for b in range(len(least)):
-        mirror = _mirror(context, e, path, cos, b)
+        mirror = _images(context, e, path, cos, b)
         for g in range(field.shape[1]):
             k = spectrum.k[b, g]
             field[b, g] = field_at(path, front, k, mirror) * _stays(k, leave_s) * _stays(k, leave_r)
@@ -654,6 +679,11 @@ def _add_double(
         return
     if not two_edge_field(wedges, x, shares, spectrum, scratch.least, scratch.double, scratch.field):
         return
+    for b in range(len(scratch.least)):
+        of_e, face = _of_rigid(context, e, x.phi_p, x.phi_f, b)
+        of_f, _ = _of_rigid(context, f, x.phi_q, x.phi_e, b)
+        for g in range(scratch.field.shape[1]):
+            scratch.field[b, g] *= 2.0 * of_e * of_f / (1.0 + face)
     met_e, met_f = met_edge(wedges, e, x.z_e), met_edge(wedges, f, x.z_f)
     if not meets_both(wedges, x):
         longer = distance(p.at, met_e) + distance(met_e, met_f) + distance(met_f, q.at)

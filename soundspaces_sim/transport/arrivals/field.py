@@ -223,21 +223,22 @@ def most_share(k: float, ends: tuple[float, float], beyond: bool) -> float:
 
 
 @part(forceinline=True)
-def most_of_edge(path: EdgePath, terms: Terms, k: float) -> float:
-    """Bound of a field at the wave number k and above it, 1/m. |F(x)| is at most 1 and sqrt(pi x), so a term is at
-    most |cot| and half of the geometrical wave; far from boundaries terms cancel, as |F(x) - 1| is at most 1 /
-    2x."""
+def most_of_edge(path: EdgePath, terms: Terms, k: float, mirror: tuple[float, float]) -> float:
+    """Bound of a field at the wave number k and above it, 1/m, `mirror` as in `field_at`. |F(x)| is at most 1 and
+    sqrt(pi x), so a term is at most |cot| and half of the geometrical wave; far from boundaries terms cancel, as
+    |F(x) - 1| is at most 1 / 2x."""
     l, size = _spread(path)
     most, near, far, rest = path.n * math.sqrt(2.0 * math.pi * k * l), 0.0, 0.0, 0.0
     beyond = not 0.0 <= path.apex <= path.length
     by_ends = max(path.start, path.end)
     for t in range(4):
-        cot, detour = abs(terms.cot[t]), 2.0 * l * terms.root[t] ** 2
+        left = mirror[t - 2] if t >= 2 else 1.0
+        cot, detour = left * abs(terms.cot[t]), 2.0 * l * terms.root[t] ** 2
         differs = 0.5 / (k * detour + _TINY)
         if beyond:  # by its own share of B too: 1 - m of (T33a)
             differs += 1.0 - detour * detour / (detour * detour + by_ends * by_ends + _TINY)
         near += min(most, cot)
-        far += terms.cot[t]
+        far += left * terms.cot[t]
         rest += cot * min(1.0, differs)
     total = min(near, abs(far) + rest) * most_share(k, (path.start, path.end), beyond)
     return abs(size) / math.sqrt(k) * total * math.sqrt(path.taper)
@@ -267,13 +268,13 @@ def of_end(beyond: complex, detour: float, boundary: float) -> complex:
 
 
 @part(forceinline=True)
-def blend(to_shadow: float, to_reflection: float) -> float:
-    """How much of a face's own reflectance a reflected term takes: nothing in the shadow, where edges are rigid,
-    all at the boundary of the reflection."""
+def off_reflection(path: EdgePath, angle: float) -> float:
+    """1 - h of (T32), of an image's term whose boundary is at `angle` = pi: 0 there, 1 in the shadow."""
+    to_shadow, to_reflection = math.pi - path.minus, angle - math.pi
     if to_shadow <= 0.0:
-        return 0.0
+        return 1.0
     x = max(to_shadow - abs(to_reflection), 0.0) / (to_shadow + abs(to_reflection))
-    return x * x * (3.0 - 2.0 * x)
+    return 1.0 - x * x * (3.0 - 2.0 * x)
 
 
 class Front(NamedTuple):
@@ -285,25 +286,20 @@ class Front(NamedTuple):
     most: float  # twice the free field, 1/m: a rigid face doubles it
     first: float  # -1 where the apex lies before the edge's start, else 1
     second: float  # the same beyond its end
-    blend: tuple[float, float]  # `blend` of both faces
 
 
 @part
 def front_of(path: EdgePath, terms: Terms) -> Front:
     """Of a path."""
     l, size = _spread(path)
-    own = (
-        blend(math.pi - path.minus, path.plus - math.pi),
-        blend(math.pi - path.minus, path.other - math.pi),
-    )
     first, second = -1.0 if path.apex < 0.0 else 1.0, -1.0 if path.apex > path.length else 1.0
-    return Front(terms, l, size * math.sqrt(path.taper), 2.0 / (path.d_s + path.d_r), first, second, own)
+    return Front(terms, l, size * math.sqrt(path.taper), 2.0 / (path.d_s + path.d_r), first, second)
 
 
 @part
 def field_at(path: EdgePath, front: Front, k: float, mirror: tuple[float, float]) -> complex:
-    """(T30) with (T33), (T33a) at a wave number, 1/m, no more than twice the free field. `mirror`: amplitudes that
-    both faces reflect."""
+    """(T30) with (T33), (T33a) at a wave number, 1/m, no more than twice the free field. `mirror`: what both faces'
+    images have of a rigid face's (T32)."""
     start, end, total = beyond_end(k, path.start), beyond_end(k, path.end), 0j
     for t in range(4):
         root = front.terms.root[t]
@@ -313,7 +309,7 @@ def field_at(path: EdgePath, front: Front, k: float, mirror: tuple[float, float]
         share = front.first * of_end(start, path.start, boundary)
         share = 0.5 * (share + front.second * of_end(end, path.end, boundary))
         if t >= 2:
-            share *= 1.0 + (mirror[t - 2] - 1.0) * front.blend[t - 2]
+            share *= mirror[t - 2]
         total += of_term * share
     total *= front.size / math.sqrt(k) * complex(_QUARTER, -_QUARTER)
     size = math.sqrt(total.real**2 + total.imag**2)

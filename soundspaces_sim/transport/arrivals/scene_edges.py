@@ -52,6 +52,9 @@ class Edges(NamedTuple):
     wedges: Wedges
     plane: np.ndarray  # (E, 2) that mirrors early sound, of each face; -1 for none
     material: np.ndarray  # (E, 2) row of Surfaces, of each face
+    # (E, 2, b) amplitude that each face reflects, scattered or not, at random incidence; 1 of one in no plane
+    reflects: np.ndarray
+    lost: np.ndarray  # (E,) most that is missing of that to 1, of both faces and all bands
     mutual: MutualVisibility
     links: Links
     turn: np.ndarray  # (E, 4) cosine and sine of pi / 2n, and of pi n

@@ -28,7 +28,8 @@ from soundspaces_sim.transport.arrivals.sight import Sight, find_sight
 from soundspaces_sim.transport.arrivals.specular_planes import make_cover, plane_boxes
 from soundspaces_sim.transport.arrivals.waves import make_waves
 from soundspaces_sim.transport.arrivals.ways import make_way_scratch
-from soundspaces_sim.transport.bsdf.surface import Surfaces
+from soundspaces_sim.transport.bsdf import SPECULAR
+from soundspaces_sim.transport.bsdf.surface import Surfaces, lambertian_energy
 from soundspaces_sim.transport.elements import cross_walls
 from soundspaces_sim.transport.model import Model, air_transmission
 from soundspaces_sim.transport.state import Ends
@@ -99,10 +100,15 @@ def view_of(model: Model) -> View:
 def edges_of(model: Model) -> Edges:
     """A scene's edges: `model.once(edges_of)`."""
     wedges, mutual = model.prepared.part(prepare_wedges)
-    geometry = model.world.geometry
+    geometry, surfaces = model.world.geometry, model.world.surfaces
     half, whole = 0.5 * np.pi / wedges.n, np.pi * wedges.n
     turn = np.stack([np.cos(half), np.sin(half), np.cos(whole), np.sin(whole)], axis=1)
-    return Edges(wedges, *find_faces(geometry, wedges), mutual, find_links(wedges, mutual), turn)
+    plane, material = find_faces(geometry, wedges)
+    energy = surfaces.energy[:, SPECULAR] + lambertian_energy(surfaces)
+    reflects = np.where(plane[:, :, None] >= 0, np.sqrt(energy[material]), 1.0)
+    lost = 1.0 - reflects.min(axis=(1, 2))
+    links = find_links(wedges, mutual)
+    return Edges(wedges, plane, material, reflects, lost, mutual, links, turn)
 
 
 def sight_of(side: Side) -> Sight:
