@@ -123,7 +123,7 @@ def test_energy_about_bodies() -> None:
 @pytest.mark.parametrize("admittance", [0.05, 0.15, 0.3])
 def test_bodies_that_absorb(admittance: float) -> None:
     """Boxes that take 0.30, 0.62 and 0.84 at random incidence: their edges bring as much less sound as their faces
-    reflect less (T32). Of rigid edges energies would be up to 18 % too large, and levels out of sight 2 to 4 dB."""
+    reflect less (T32). Of rigid edges energies would be up to 18 % too large, and levels out of sight 2 to 3 dB."""
     found = [_levels(name, 3, 40, admittance) for name in _BODIES]
     exact, energy, pressure, rays = (
         np.concatenate(columns)
