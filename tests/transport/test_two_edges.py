@@ -101,7 +101,13 @@ def test_paths_by_two_edges_are_shortest() -> None:
 def _bounded(context: Context, scratch: Scratch, found: np.ndarray) -> None:
     """Counts (4,): paths by two edges between all points, those whose field (T34) at the lowest wave number is at most 3
     dB above what is estimated; of those that meet both edges, those that may be heard where half of that energy is."""
-    a, b, edges, spectrum = context.a, context.b, context.edges, context.spectrum
+    a, b, edges, spectrum, pair = (
+        context.a,
+        context.b,
+        context.scene.edges,
+        context.scene.spectrum,
+        scratch.pair,
+    )
     for i in range(len(a.points)):
         for j in range(len(b.points)):
             u, v = a.ends[i], b.ends[j]
@@ -113,19 +119,19 @@ def _bounded(context: Context, scratch: Scratch, found: np.ndarray) -> None:
                     ok, x = two_edge_path(edges.wedges, e, f, row(a.points, i), row(b.points, j))
                     if not ok:
                         continue
-                    scratch.least[:] = 0.0
+                    pair.least[:] = 0.0
                     shares = shares_of(edges.wedges, x)
                     two_edge_field(
-                        edges.wedges, x, shares, spectrum, scratch.least, scratch.double, scratch.field
+                        edges.wedges, x, shares, spectrum, pair.least, scratch.double, pair.field
                     )
-                    for k in range(len(scratch.least)):
-                        scratch.least[k] = 0.5 * abs(scratch.field[k, 0]) ** 2
+                    for k in range(len(pair.least)):
+                        pair.least[k] = 0.5 * abs(pair.field[k, 0]) ** 2
                     found[0] += 1
-                    found[1] += estimate(edges.wedges, x, shares, spectrum.k[0, 0]) > scratch.least[0]
+                    found[1] += estimate(edges.wedges, x, shares, spectrum.k[0, 0]) > pair.least[0]
                     if meets_both(edges.wedges, x):
                         found[2] += 1
                         found[3] += _double_may_be_heard(
-                            context, a.seen, b.seen, n, m, 0.0, False, scratch.least
+                            edges, spectrum, a.seen, b.seen, n, m, 0.0, False, pair.least
                         )
 
 

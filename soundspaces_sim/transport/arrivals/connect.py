@@ -52,8 +52,15 @@ from soundspaces_sim.transport.arrivals.images import (
     unfold,
 )
 from soundspaces_sim.transport.arrivals.scene_edges import Edges
-from soundspaces_sim.transport.arrivals.sight import Seen, Sight, coordinates_in, meets, row_of
-from soundspaces_sim.transport.arrivals.specular_planes import NEAR, cover_at
+from soundspaces_sim.transport.arrivals.sight import (
+    Seen,
+    Sequences,
+    Sight,
+    coordinates_in,
+    meets,
+    row_of,
+)
+from soundspaces_sim.transport.arrivals.specular_planes import NEAR, SpecularPlanes, cover_at
 from soundspaces_sim.transport.arrivals.two_edges import (
     BEYOND,
     estimate,
@@ -83,7 +90,7 @@ from soundspaces_sim.transport.arrivals.wedges import (
     met_edge,
     met_point,
 )
-from soundspaces_sim.transport.bsdf.surface import specular_reflectance
+from soundspaces_sim.transport.bsdf.surface import Surfaces, specular_reflectance
 
 _KINDS = np.array(EDGE_KINDS)
 _DIRECT = -1  # kind of the direct sound
@@ -96,12 +103,18 @@ _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, 
 _MAX_DETOUR = 2.0  # m, by two edges over what goes straight, up to which they count in the light
 
 
-class Context(NamedTuple):
-    """What the kernel reads, and `joined`, which it fills."""
+class Scene(NamedTuple):
+    """What is there, and the wave numbers of all bands."""
 
     sight: View
     edges: Edges
     spectrum: Spectrum
+
+
+class Context(NamedTuple):
+    """What the kernel reads, and `joined`, which it fills."""
+
+    scene: Scene
     a: Sight
     b: Sight
     walls: np.ndarray  # (A, B) between the points; 0: they see each other
@@ -109,16 +122,28 @@ class Context(NamedTuple):
     joined: np.ndarray  # (A, B, b) the same with what joins it
 
 
-class Scratch(NamedTuple):
-    """What a thread works in."""
+class Pair(NamedTuple):
+    """What a thread has of the pair at hand."""
 
     waves: Waves
-    field: np.ndarray  # (b, g) complex
+    field: np.ndarray  # (b, g) complex, of the wave at hand
     energy: np.ndarray  # (b,)
     heard: np.ndarray  # (b,) least |P|² of a wave that counts
     least: np.ndarray  # (b,) the same of the ends at hand, before what planes take
-    seen: np.ndarray  # (w,) row of what an end sees, by wedge; -1 for none
-    link: np.ndarray  # (n,) row of its links, by row of `Links`; -1 for none
+
+
+class Marked(NamedTuple):
+    """Rows of what an end sees, -1 for none."""
+
+    wedge: np.ndarray  # (w,) by wedge
+    link: np.ndarray  # (n,) of its links, by row of `Links`
+
+
+class Scratch(NamedTuple):
+    """What a thread works in."""
+
+    pair: Pair
+    marked: Marked
     double: DoubleWedgeScratch
     way: WayScratch
 
@@ -165,62 +190,61 @@ def _mirrors(waves: Waves, p: End, q: End, plane: int) -> bool:
 
 
 @part
-def _add_mirrors(context: Context, a: Sight, b: Sight, i: int, j: int, scratch: Scratch) -> None:
-    """Reflections off planes, by the sequences that rays from either end meet."""
-    own, other = a.sequences, b.sequences
-    p, q = row(a.points, i), row(b.points, j)
-    none = len(context.sight.planes.offset)
+def _add_mirrors(
+    view: View, own: Sequences, other: Sequences, i: int, j: int, p: Vec3, q: Vec3, pair: Pair
+) -> None:
+    """Reflections off planes, by the sequences that rays from either end, rows i and j, meet."""
+    none = len(view.planes.offset)
     for n in range(own.start[i], own.start[i + 1]):
         one, two = own.planes[n, 0], own.planes[n, 1]
         if two == none:
-            _add_mirror(context, (one, -1, -1), p, q, scratch)
+            _add_mirror(view, (one, -1, -1), p, q, pair)
         else:
-            _add_mirror(context, (one, two, -1), p, q, scratch)
-            _add_mirror(context, (one, two, one), p, q, scratch)
+            _add_mirror(view, (one, two, -1), p, q, pair)
+            _add_mirror(view, (one, two, one), p, q, pair)
     for n in range(other.start[j], other.start[j + 1]):
         two, one = other.planes[n, 0], other.planes[n, 1]
         if one == none:
             if not meets(own, i, two, none):
-                _add_mirror(context, (two, -1, -1), p, q, scratch)
+                _add_mirror(view, (two, -1, -1), p, q, pair)
         else:
             if not meets(own, i, one, two):
-                _add_mirror(context, (one, two, -1), p, q, scratch)
+                _add_mirror(view, (one, two, -1), p, q, pair)
             if not meets(own, i, two, one):
-                _add_mirror(context, (two, one, two), p, q, scratch)
+                _add_mirror(view, (two, one, two), p, q, pair)
 
 
 @part
-def _add_mirror(context: Context, met: tuple[int, int, int], p: Vec3, q: Vec3, scratch: Scratch) -> None:
-    sight, energy = context.sight, scratch.energy
+def _add_mirror(view: View, met: tuple[int, int, int], p: Vec3, q: Vec3, pair: Pair) -> None:
     a, b, c = met
     end = q
     if c < 0 <= b:
-        image = image_of(sight.planes, b, image_of(sight.planes, a, p))
-        if not reflection_point(sight.planes, b, image, q)[0]:
+        image = image_of(view.planes, b, image_of(view.planes, a, p))
+        if not reflection_point(view.planes, b, image, q)[0]:
             return
-        end = beside_edge(sight.geometry, sight.planes, (a, b), p, q)
-    found, path = unfold(sight.planes, met, p, end)
-    if not (found and on_planes(sight, path)):
+        end = beside_edge(view.geometry, view.planes, (a, b), p, q)
+    found, path = unfold(view.planes, met, p, end)
+    if not (found and on_planes(view, path)):
         return
-    length, at_p, at_q = straight_path(sight.planes, met, p, q)
-    found, groups = trace_mirrors(sight, path, length, energy)
+    length, at_p, at_q = straight_path(view.planes, met, p, q)
+    found, groups = trace_mirrors(view, path, length, pair.energy)
     if not found:
         return
     kind = MIRRORS_AND_BACK if c >= 0 else MIRRORS
-    scratch.field[:, :] = 1.0
+    pair.field[:, :] = 1.0
     add_wave(
-        scratch.waves,
+        pair.waves,
         Path(length, at_p, at_q, (a, b), kind, (-1, -1), groups),
-        scratch.field,
-        energy,
+        pair.field,
+        pair.energy,
         False,
     )
 
 
 @part
-def _set_heard(scratch: Scratch, share: float) -> None:
-    """`Scratch.heard`: a share of the energy of the waves that there are."""
-    waves, heard = scratch.waves, scratch.heard
+def _set_heard(pair: Pair, share: float) -> None:
+    """`Pair.heard`: a share of the energy of the waves that there are."""
+    waves, heard = pair.waves, pair.heard
     heard[:] = 0.0
     for i in range(min(waves.number[0], len(waves.length))):
         for b in range(len(heard)):
@@ -238,11 +262,17 @@ def _verdict(turn: float, tolerance: float, lit: bool) -> float:
 
 @part
 def _edge_path(
-    context: Context, ends: _Ends, e: int, s: WedgeCoordinates, r: WedgeCoordinates, waves: Waves
+    edges: Edges,
+    planes: SpecularPlanes,
+    ends: _Ends,
+    e: int,
+    s: WedgeCoordinates,
+    r: WedgeCoordinates,
+    waves: Waves,
 ) -> tuple[bool, EdgePath]:
     """The path by an edge between two ends about it, in order; its angles are on the side of each boundary on which
     rays have found sound."""
-    wedges, planes = context.edges.wedges, context.sight.planes
+    wedges = edges.wedges
     length, n, stands = wedges.length[e], wedges.n[e], wedges.stands
     total = math.sqrt((s.r + r.r) ** 2 + (r.z - s.z) ** 2)
     sin_beta = (s.r + r.r) / total
@@ -257,7 +287,7 @@ def _edge_path(
     tolerance, spread = boundary_tolerance(wedges, e, s, r), 1.0 / s.r + 1.0 / r.r
     minus, plus = _verdict(r.phi - s.phi, tolerance, ends.lit), s.phi + r.phi
     other = 2.0 * math.pi * n - plus
-    a, b = context.edges.plane[e, 0], context.edges.plane[e, 1]
+    a, b = edges.plane[e, 0], edges.plane[e, 1]
     if a >= 0:
         near = tolerance + planes.margin[a] * spread
         if abs(plus - math.pi) <= near:
@@ -334,31 +364,35 @@ def _cosines(path: EdgePath, turns: tuple[Turn, Turn, Turn]) -> tuple[float, flo
 
 
 @part(forceinline=True)
-def _image(context: Context, e: int, face: int, cos: float, off: float, band: int) -> float:
+def _image(
+    edges: Edges, surfaces: Surfaces, e: int, face: int, cos: float, off: float, band: int
+) -> float:
     """What a face's image has of a rigid face's (T32), so far `off` the boundary of its reflection."""
     mirrors = 0.0
-    if off < 1.0 and context.edges.plane[e, face] >= 0:
-        material = context.edges.material[e, face]
-        mirrors = math.sqrt(specular_reflectance(context.sight.surfaces, material, cos, band))
-    return off * context.edges.reflects[e, face, band] + (1.0 - off) * mirrors
+    if off < 1.0 and edges.plane[e, face] >= 0:
+        material = edges.material[e, face]
+        mirrors = math.sqrt(specular_reflectance(surfaces, material, cos, band))
+    return off * edges.reflects[e, face, band] + (1.0 - off) * mirrors
 
 
 @part(forceinline=True)
 def _images(
-    context: Context, e: int, path: EdgePath, cos: tuple[float, float], band: int
+    edges: Edges, surfaces: Surfaces, e: int, path: EdgePath, cos: tuple[float, float], band: int
 ) -> tuple[float, float]:
     """(T32) of both faces."""
     first, second = off_reflection(path, path.plus), off_reflection(path, path.other)
-    return _image(context, e, 0, cos[0], first, band), _image(context, e, 1, cos[1], second, band)
+    return _image(edges, surfaces, e, 0, cos[0], first, band), _image(
+        edges, surfaces, e, 1, cos[1], second, band
+    )
 
 
 @part
-def _of_rigid(context: Context, e: int, phi: float, towards: float, band: int) -> tuple[float, float]:
+def _of_rigid(edges: Edges, e: int, phi: float, towards: float, band: int) -> tuple[float, float]:
     """((T34b): share of a rigid edge's field, from an end at `phi` along a face towards another edge; the amplitude
     that this face reflects)."""
-    n = context.edges.wedges.n[e]
+    n = edges.wedges.n[e]
     face = 0 if towards < 0.5 * math.pi * n else 1
-    own, outer = context.edges.reflects[e, face, band], context.edges.reflects[e, 1 - face, band]
+    own, outer = edges.reflects[e, face, band], edges.reflects[e, 1 - face, band]
     turn = abs(towards - phi)
     less, more = (math.pi - turn) / (2.0 * n), (math.pi + turn) / (2.0 * n)
     lost = (1.0 - own) * math.cos(less) * math.sin(more) + (1.0 - outer) * math.cos(more) * math.sin(
@@ -394,26 +428,43 @@ def _share_in(k: float, gap: _Gap) -> float:
 
 
 @part
-def _mark(seen: Seen, end: int, scratch: Scratch, there: bool) -> None:
-    """Set the rows of an end in the scratch, or take them away."""
+def _mark(seen: Seen, end: int, marked: Marked, there: bool) -> None:
+    """Set the rows of an end, or take them away."""
     for n in range(seen.start[end], seen.start[end + 1]):
-        scratch.seen[seen.wedge[n]] = n if there else -1
+        marked.wedge[seen.wedge[n]] = n if there else -1
     for n in range(seen.link_start[end], seen.link_start[end + 1]):
-        scratch.link[seen.link[n]] = n if there else -1
+        marked.link[seen.link[n]] = n if there else -1
+
+
+class _About(NamedTuple):
+    """Where an end is about an edge."""
+
+    at: WedgeCoordinates
+    turn: Turn
+
+
+@part(forceinline=True)
+def _about(seen: Seen, n: int) -> _About:
+    """A row of what is seen."""
+    turn = seen.turn
+    return _About(coordinates_in(seen, n), Turn(turn[n, 0], turn[n, 1], turn[n, 2], turn[n, 3]))
 
 
 @part
 def _add_singles(
-    context: Context, a: Seen, b: Seen, ends: _Ends, least: _Least, scratch: Scratch
+    scene: Scene, a: Seen, b: Seen, ends: _Ends, least: _Least, marked: np.ndarray, pair: Pair
 ) -> None:
     """Waves by every edge that both ends see, of which the second is marked."""
     for n in range(a.start[ends.u], a.start[ends.u + 1]):
-        m = scratch.seen[a.wedge[n]]
-        if m >= 0 and _single_may_be_heard(context, a, b, n, m, least, scratch.least):
-            if _in_order(a, b, n, m):
-                _add_single(context, ends, (a, b), (n, m), scratch)
-            else:
-                _add_single(context, ends, (b, a), (m, n), scratch)
+        e = a.wedge[n]
+        m = marked[e]
+        if m < 0:
+            continue
+        s, r = _about(a, n), _about(b, m)
+        if _single_may_be_heard(scene.edges, scene.spectrum, e, s, r, least, pair.least):
+            if not _in_order(s.at, r.at):
+                s, r = r, s
+            _add_single(scene, ends, e, s, r, pair)
 
 
 @part(forceinline=True)
@@ -423,23 +474,22 @@ def _over(a: float, b: float) -> float:
 
 @part
 def _single_may_be_heard(
-    context: Context, a: Seen, b: Seen, n: int, m: int, least: _Least, heard: np.ndarray
+    edges: Edges, spectrum: Spectrum, e: int, p: _About, q: _About, least: _Least, heard: np.ndarray
 ) -> bool:
-    """Whether the wave by a wedge, row n of what one end sees and row m of the other, is worth computing: by the
+    """Whether the wave by a wedge between two ends, p and q about it, is worth computing: by the
     four terms of (T30) far from their boundaries, which are sin(pi/n) / (cos²((phi_r ± phi_s)/2n) - cos²(pi/2n))
     two by two, and never more than half of the geometrical wave each. Where these cancel, what |F(x) - 1| <= 1 / 2x
     and faces that absorb leave of each counts."""
-    edges, spectrum = context.edges, context.spectrum
-    wedges, e, k = edges.wedges, a.wedge[n], spectrum.k[0, 0]
-    legs, along = a.r[n] + b.r[m], b.z[m] - a.z[n]
+    wedges, k, (a, of_a), (b, of_b) = edges.wedges, spectrum.k[0, 0], p, q
+    legs, along = a.r + b.r, b.z - a.z
     squared = legs * legs + along * along
     if least.flat * squared >= MOST_SHARE**2:
         return False
-    both, cross = a.turn[n, 0] * b.turn[m, 0], a.turn[n, 1] * b.turn[m, 1]
+    both, cross = of_a.cos * of_b.cos, of_a.sin * of_b.sin
     cos, size = edges.turn[e, 0] ** 2, 2.0 * edges.turn[e, 0] * edges.turn[e, 1]
     minus, plus = _over(size, (both + cross) ** 2 - cos), _over(size, (both - cross) ** 2 - cos)
-    both, cross = a.turn[n, 2] * b.turn[m, 2], a.turn[n, 3] * b.turn[m, 3]
-    total, product = math.sqrt(squared), a.r[n] * b.r[m]
+    both, cross = of_a.half_cos * of_b.half_cos, of_a.half_sin * of_b.half_sin
+    total, product = math.sqrt(squared), a.r * b.r
     near = 0.25 * total / product
     near *= abs(_over(minus, (both + cross) ** 2)) + abs(_over(plus, (both - cross) ** 2))
     most = abs(minus) + abs(plus)
@@ -447,8 +497,8 @@ def _single_may_be_heard(
     scale = _SAFE**2 * legs / (8.0 * math.pi * wedges.n[e] ** 2 * product)
     if MOST_SHARE**2 * scale * min(most, far + near / k) ** 2 <= least.falls * squared:
         return False
-    z = a.z[n], b.z[m]
-    gap = _gap_of(wedges.length[e], (a.r[n], b.r[m]), z, total, _MAX_BEYOND)
+    z = a.z, b.z
+    gap = _gap_of(wedges.length[e], (a.r, b.r), z, total, _MAX_BEYOND)
     if gap.taper <= 0.0:
         return False
     goes_on = cuts_of(wedges, e, z[0], z[1])
@@ -465,7 +515,7 @@ def _single_may_be_heard(
 
 @part
 def _is_heard(
-    context: Context,
+    scene: Scene,
     e: int,
     path: EdgePath,
     terms: Terms,
@@ -475,8 +525,8 @@ def _is_heard(
 ) -> bool:
     """Whether the path's wave is above `least` in any band, of those where a bound of it is."""
     for b in range(len(least)):
-        k = context.spectrum.k[b, 0]
-        mirror = _images(context, e, path, cos, b)
+        k = scene.spectrum.k[b, 0]
+        mirror = _images(scene.edges, scene.sight.surfaces, e, path, cos, b)
         if most_of_edge(path, terms, k, mirror) ** 2 > least[b]:
             p = field_at(path, front, k, mirror)
             if p.real**2 + p.imag**2 > least[b]:
@@ -485,58 +535,50 @@ def _is_heard(
 
 
 @part(forceinline=True)
-def _in_order(a: Seen, b: Seen, n: int, m: int) -> bool:
-    """Whether the end of row n comes before that of row m: that at the smaller angle."""
-    if a.phi[n] != b.phi[m]:
-        return a.phi[n] < b.phi[m]
-    return a.r[n] < b.r[m] if a.r[n] != b.r[m] else a.z[n] <= b.z[m]
-
-
-@part(forceinline=True)
-def _turn(table: np.ndarray, n: int) -> Turn:
-    return Turn(table[n, 0], table[n, 1], table[n, 2], table[n, 3])
+def _in_order(a: WedgeCoordinates, b: WedgeCoordinates) -> bool:
+    """Whether an end comes before another one: that at the smaller angle."""
+    if a.phi != b.phi:
+        return a.phi < b.phi
+    return a.r < b.r if a.r != b.r else a.z <= b.z
 
 
 @part
-def _add_single(
-    context: Context, ends: _Ends, seen: tuple[Seen, Seen], rows: tuple[int, int], scratch: Scratch
-) -> None:
-    """The wave by an edge between two ends, rows of what they see, that at the smaller angle first."""
-    e, s, r = seen[0].wedge[rows[0]], coordinates_in(seen[0], rows[0]), coordinates_in(seen[1], rows[1])
-    of_s, of_r = _turn(seen[0].turn, rows[0]), _turn(seen[1].turn, rows[1])
-    of_edge = _turn(context.edges.turn, e)
-    wedges, spectrum = context.edges.wedges, context.spectrum
-    ok, path = _edge_path(context, ends, e, s, r, scratch.waves)
+def _add_single(scene: Scene, ends: _Ends, e: int, first: _About, second: _About, pair: Pair) -> None:
+    """The wave by an edge between two ends about it, that at the smaller angle first."""
+    (s, of_s), (r, of_r), turn = first, second, scene.edges.turn
+    of_edge = Turn(turn[e, 0], turn[e, 1], turn[e, 2], turn[e, 3])
+    wedges, spectrum = scene.edges.wedges, scene.spectrum
+    ok, path = _edge_path(scene.edges, scene.sight.planes, ends, e, s, r, pair.waves)
     if not ok:
         return
-    field, least = scratch.field, scratch.least
+    field, least = pair.field, pair.least
     plus = s.phi + r.phi
     exact, terms = terms_by_turns(path, of_s, of_r, of_edge)
     exact &= path.minus == r.phi - s.phi and path.plus == plus
     if not (exact and path.other == 2.0 * math.pi * path.n - plus):
         terms = terms_of(path)  # an angle was moved to the other side of its boundary
     front, cos = front_of(path, terms), _cosines(path, (of_s, of_r, of_edge))
-    if not _is_heard(context, e, path, terms, front, cos, least):
+    if not _is_heard(scene, e, path, terms, front, cos, least):
         return
     at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
-    from_p = leg_to(context.sight, p, at)
+    from_p = leg_to(scene.sight, p, at)
     if not from_p.free:
         return
-    from_q = leg_to(context.sight, q, at)
+    from_q = leg_to(scene.sight, q, at)
     if not from_q.free:
         return
     at = met_edge(wedges, e, path.apex)
-    from_p, from_q = moved_to(context.sight, p, from_p, at), moved_to(context.sight, q, from_q, at)
-    leave_s, leave_r = _leaves(context.edges, e, path, s), _leaves(context.edges, e, path, r)
+    from_p, from_q = moved_to(scene.sight, p, from_p, at), moved_to(scene.sight, q, from_q, at)
+    leave_s, leave_r = _leaves(scene.edges, e, path, s), _leaves(scene.edges, e, path, r)
     for b in range(len(least)):
-        mirror = _images(context, e, path, cos, b)
+        mirror = _images(scene.edges, scene.sight.surfaces, e, path, cos, b)
         for g in range(field.shape[1]):
             k = spectrum.k[b, g]
             field[b, g] = field_at(path, front, k, mirror) * _stays(k, leave_s) * _stays(k, leave_r)
     length = path.d_s + path.d_r
     if not 0.0 < path.apex < path.length:
         length = _turned(field, spectrum, length, distance(p.at, at) + distance(at, q.at))
-    _add_by_edges(context, ends, (e, -1), (from_p, from_q), length, False, scratch)
+    _add_by_edges(scene.sight, ends, (e, -1), (from_p, from_q), length, False, pair)
 
 
 @part
@@ -550,34 +592,34 @@ def _turned(field: np.ndarray, spectrum: Spectrum, length: float, longer: float)
 
 
 @part
-def _fades_in(scratch: Scratch) -> float:
+def _fades_in(pair: Pair) -> float:
     """Share of the energy of what is diffracted that counts: from nothing at `heard` in every band to all at three
     times that."""
     most = 0.0
-    for b in range(len(scratch.heard)):
-        p = scratch.field[b, 0]
-        own = scratch.energy[b] * (p.real * p.real + p.imag * p.imag)
-        if own > scratch.heard[b]:
-            most = max(most, own / scratch.heard[b] if scratch.heard[b] > 0.0 else 3.0)
+    for b in range(len(pair.heard)):
+        p = pair.field[b, 0]
+        own = pair.energy[b] * (p.real * p.real + p.imag * p.imag)
+        if own > pair.heard[b]:
+            most = max(most, own / pair.heard[b] if pair.heard[b] > 0.0 else 3.0)
     return smooth(0.5 * (most - 1.0))
 
 
 @part
 def _add_by_edges(
-    context: Context,
+    view: View,
     ends: _Ends,
     edges: tuple[int, int],
     legs: tuple[Leg, Leg],
     length: float,
     more: bool,
-    scratch: Scratch,
+    pair: Pair,
 ) -> None:
-    """Add the wave whose field is in the scratch, less what planes take of it; `more` edges than two."""
-    p, q, energy = ends.p, ends.q, scratch.energy
+    """Add the wave whose field is at hand, less what planes take of it; `more` edges than two."""
+    p, q, energy = ends.p, ends.q, pair.energy
     energy[:] = 1.0
-    at_p, group_p = reflected(context.sight, p, legs[0], energy)
-    at_q, group_q = reflected(context.sight, q, legs[1], energy)
-    share = _fades_in(scratch)
+    at_p, group_p = reflected(view, p, legs[0], energy)
+    at_q, group_q = reflected(view, q, legs[1], energy)
+    share = _fades_in(pair)
     if share <= 0.0:
         return
     for b in range(len(energy)):
@@ -588,18 +630,24 @@ def _add_by_edges(
     planes, groups = (p.plane, q.plane), (group_p, group_q, -1)
     if p.plane < 0:
         planes, groups = (q.plane, -1), (group_q, -1, -1)
-    add_wave(
-        scratch.waves, Path(length, at_p, at_q, planes, kind, edges, groups), scratch.field, energy, True
-    )
+    add_wave(pair.waves, Path(length, at_p, at_q, planes, kind, edges, groups), pair.field, energy, True)
 
 
 @part
 def _double_may_be_heard(
-    context: Context, a: Seen, b: Seen, n: int, m: int, straight: float, lit: bool, least: np.ndarray
+    edges: Edges,
+    spectrum: Spectrum,
+    a: Seen,
+    b: Seen,
+    n: int,
+    m: int,
+    straight: float,
+    lit: bool,
+    least: np.ndarray,
 ) -> bool:
     """Whether the wave by both wedges of a link, row n of the first end's links and row m of the second's, is worth
     computing: by the product of both coefficients in the plane across, which are never more than a free field."""
-    wedges, links, spectrum = context.edges.wedges, context.edges.links, context.spectrum
+    wedges, links = edges.wedges, edges.links
     at = a.link[n]
     i, j = a.link_row[n], b.link_row[m]
     e, f, r_p, w, r_q = a.wedge[i], b.wedge[j], a.r[i], links.width[at], b.r[j]
@@ -642,22 +690,21 @@ def _is_above(first: float, second: float, scale: float, spectrum: Spectrum, lea
 
 
 @part
-def _add_doubles(
-    context: Context, a: Seen, b: Seen, ends: _Ends, straight: float, scratch: Scratch
-) -> None:
+def _add_doubles(scene: Scene, a: Seen, b: Seen, ends: _Ends, straight: float, scratch: Scratch) -> None:
     """Waves by two edges of one face; the second end is marked."""
+    edges, least, lit = scene.edges, scratch.pair.least, ends.lit
     for n in range(a.link_start[ends.u], a.link_start[ends.u + 1]):
-        m = scratch.link[context.edges.links.reverse[a.link[n]]]
-        if m >= 0 and _double_may_be_heard(context, a, b, n, m, straight, ends.lit, scratch.least):
+        m = scratch.marked.link[edges.links.reverse[a.link[n]]]
+        if m >= 0 and _double_may_be_heard(edges, scene.spectrum, a, b, n, m, straight, lit, least):
             e, f = a.wedge[a.link_row[n]], b.wedge[b.link_row[m]]
-            _add_double(context, ends, e, f, straight, scratch)
+            _add_double(scene, ends, e, f, straight, scratch.pair, scratch.double)
 
 
 @part
 def _add_double(
-    context: Context, ends: _Ends, e: int, f: int, straight: float, scratch: Scratch
+    scene: Scene, ends: _Ends, e: int, f: int, straight: float, pair: Pair, scratch: DoubleWedgeScratch
 ) -> None:
-    wedges, spectrum, view, p, q = context.edges.wedges, context.spectrum, context.sight, ends.p, ends.q
+    wedges, spectrum, view, p, q = scene.edges.wedges, scene.spectrum, scene.sight, ends.p, ends.q
     inside, x = two_edge_path(wedges, e, f, p.at, q.at)
     if not inside:
         return
@@ -666,8 +713,8 @@ def _add_double(
         return
     shares, lowest = shares_of(wedges, x), spectrum.k[0, 0]
     most = estimate(wedges, x, shares, lowest)
-    for b in range(len(scratch.least)):  # each edge takes one over the root of the wave number
-        loud = loud or most * (lowest / spectrum.k[b, 0]) ** 2 > scratch.least[b]
+    for b in range(len(pair.least)):  # each edge takes one over the root of the wave number
+        loud = loud or most * (lowest / spectrum.k[b, 0]) ** 2 > pair.least[b]
     if not loud:
         return
     met_e, met_f = met_point(wedges, e, x.z_e), met_point(wedges, f, x.z_f)
@@ -677,28 +724,28 @@ def _add_double(
     from_q = leg_to(view, q, met_f)
     if not (from_q.free and unoccluded(view.geometry, met_e, met_f)):
         return
-    if not two_edge_field(wedges, x, shares, spectrum, scratch.least, scratch.double, scratch.field):
+    if not two_edge_field(wedges, x, shares, spectrum, pair.least, scratch, pair.field):
         return
-    for b in range(len(scratch.least)):
-        of_e, face = _of_rigid(context, e, x.phi_p, x.phi_f, b)
-        of_f, _ = _of_rigid(context, f, x.phi_q, x.phi_e, b)
-        for g in range(scratch.field.shape[1]):
-            scratch.field[b, g] *= 2.0 * of_e * of_f / (1.0 + face)
+    for b in range(len(pair.least)):
+        of_e, face = _of_rigid(scene.edges, e, x.phi_p, x.phi_f, b)
+        of_f, _ = _of_rigid(scene.edges, f, x.phi_q, x.phi_e, b)
+        for g in range(pair.field.shape[1]):
+            pair.field[b, g] *= 2.0 * of_e * of_f / (1.0 + face)
     met_e, met_f = met_edge(wedges, e, x.z_e), met_edge(wedges, f, x.z_f)
     if not meets_both(wedges, x):
         longer = distance(p.at, met_e) + distance(met_e, met_f) + distance(met_f, q.at)
-        length = _turned(scratch.field, spectrum, length, longer)
+        length = _turned(pair.field, spectrum, length, longer)
     legs = moved_to(view, p, from_p, met_e), moved_to(view, q, from_q, met_f)
-    _add_by_edges(context, ends, (e, f), legs, length, False, scratch)
+    _add_by_edges(view, ends, (e, f), legs, length, False, pair)
 
 
 @part
 def _add_way(
-    context: Context, a: Sight, b: Sight, i: int, j: int, ends: _Ends, scratch: Scratch
+    scene: Scene, a: Sight, b: Sight, i: int, j: int, ends: _Ends, pair: Pair, way: WayScratch
 ) -> None:
     """Add the wave of the shortest way round several edges that is free, of the ways of either point to edges that
     the other one sees; by one edge, or two of a face, it is there."""
-    edges, way, p, q = context.edges, scratch.way, ends.p.at, ends.q.at
+    edges, p, q = scene.edges, ends.p.at, ends.q.at
     of_q, of_p = row_of(b.seen, ends.v), row_of(a.seen, ends.u)
     from_p = choose_ways(edges.wedges, a.ways, i, of_q, b.seen.wedge, b.seen.phi, q, 0, way)
     from_q = choose_ways(edges.wedges, b.ways, j, of_p, a.seen.wedge, a.seen.phi, p, 1, way)
@@ -711,31 +758,32 @@ def _add_way(
         else:
             count = set_way(b.ways, j, way.last[1, n], True, way)
             n += 1
-        count, length = solve_way(context.sight, edges, count, p, q, way)
+        count, length = solve_way(scene.sight, edges, count, p, q, way)
     if count < 2:
         return
     e, f = way.edge[0], way.edge[count - 1]
     if count == 2 and are_linked(edges.links, e, f):
         return
-    if way_field(length, distance(p, q), context.spectrum, scratch.least, scratch.field):
+    if way_field(length, distance(p, q), scene.spectrum, pair.least, pair.field):
         to_e = Leg(True, edge_point(edges.wedges, e, way.z[0]), -1)
         to_f = Leg(True, edge_point(edges.wedges, f, way.z[count - 1]), -1)
-        _add_by_edges(context, ends, (e, f), (to_e, to_f), length, count > 2, scratch)
+        _add_by_edges(scene.sight, ends, (e, f), (to_e, to_f), length, count > 2, pair)
 
 
 @part
-def _set_least(context: Context, p: End, q: End, scratch: Scratch) -> _Least:
-    """`Scratch.least` of two ends, and the least of it."""
+def _set_least(reflects: np.ndarray, k: np.ndarray, p: int, q: int, pair: Pair) -> _Least:
+    """`Pair.least` of ends in two planes, of which each reflects so much at most (P, b), at wave numbers k (b, g),
+    and the least of it."""
     flat = falls = math.inf
-    for b in range(len(scratch.least)):
-        left, k = 1.0, context.spectrum.k[b, 0]
-        if p.plane >= 0:
-            left *= context.sight.reflects[p.plane, b]
-        if q.plane >= 0:
-            left *= context.sight.reflects[q.plane, b]
-        least = max(scratch.heard[b] / max(left, _LITTLE), _LITTLE**2)
-        scratch.least[b] = least
-        flat, falls = min(flat, least), min(falls, least * k)
+    for b in range(len(pair.least)):
+        left = 1.0
+        if p >= 0:
+            left *= reflects[p, b]
+        if q >= 0:
+            left *= reflects[q, b]
+        least = max(pair.heard[b] / max(left, _LITTLE), _LITTLE**2)
+        pair.least[b] = least
+        flat, falls = min(flat, least), min(falls, least * k[b, 0])
     return _Least(flat, falls)
 
 
@@ -747,14 +795,13 @@ def _mirrors_near(view: View, plane: int, p: Vec3, q: Vec3) -> bool:
 
 
 @part
-def _add_edges(
-    context: Context, a: Sight, b: Sight, i: int, j: int, lit: bool, scratch: Scratch
-) -> None:
+def _add_edges(scene: Scene, a: Sight, b: Sight, i: int, j: int, lit: bool, scratch: Scratch) -> None:
     """Waves by edges: between both points, of either's images with the other point, and of both in one plane."""
-    at_p, at_q, view, of_points = row(a.points, i), row(b.points, j), context.sight, True
-    _set_heard(scratch, _HEARD)
+    at_p, at_q, view, of_points = row(a.points, i), row(b.points, j), scene.sight, True
+    pair = scratch.pair
+    _set_heard(pair, _HEARD)
     for v in range(b.ends[j], b.ends[j + 1]):
-        _mark(b.seen, v, scratch, True)
+        _mark(b.seen, v, scratch.marked, True)
         for u in range(a.ends[i], a.ends[i + 1]):
             plane_p, plane_q = a.plane[u], b.plane[v]
             if min(plane_p, plane_q) >= 0 and plane_p != plane_q:
@@ -764,16 +811,17 @@ def _add_edges(
                 if lit and not _mirrors_near(view, plane, at_p, at_q):
                     continue
                 if of_points:
-                    _set_heard(scratch, _HEARD_IMAGES)
+                    _set_heard(pair, _HEARD_IMAGES)
                 of_points = False
-                reached = min(plane_p, plane_q) < 0 and _has(scratch.waves, (plane, -1), False)
+                reached = min(plane_p, plane_q) < 0 and _has(pair.waves, (plane, -1), False)
             p, q = end_at(view, plane_p, at_p), end_at(view, plane_q, at_q)
-            ends, least = _Ends(p, q, u, v, reached), _set_least(context, p, q, scratch)
-            _add_singles(context, a.seen, b.seen, ends, least, scratch)
-            _add_doubles(context, a.seen, b.seen, ends, distance(p.at, q.at), scratch)
+            ends = _Ends(p, q, u, v, reached)
+            least = _set_least(view.reflects, scene.spectrum.k, plane_p, plane_q, pair)
+            _add_singles(scene, a.seen, b.seen, ends, least, scratch.marked.wedge, pair)
+            _add_doubles(scene, a.seen, b.seen, ends, distance(p.at, q.at), scratch)
             if plane < 0 and not lit:
-                _add_way(context, a, b, i, j, ends, scratch)
-        _mark(b.seen, v, scratch, False)
+                _add_way(scene, a, b, i, j, ends, pair, scratch.way)
+        _mark(b.seen, v, scratch.marked, False)
 
 
 @part
@@ -798,7 +846,8 @@ def find_arrivals(
     first: int, last: int, context: Context, pairs: np.ndarray, slots: PathSlots, scratch: Scratch
 ) -> None:
     """The arrivals of pairs, solved from the end of the smaller key, so that both directions have the same bits."""
-    waves, energy = scratch.waves, scratch.energy
+    scene, pair = context.scene, scratch.pair
+    waves, energy = pair.waves, pair.energy
     for k in range(first, last):
         i, j = pairs[k]
         swapped = context.a.keys[i] > context.b.keys[j]
@@ -806,25 +855,26 @@ def find_arrivals(
         if swapped:
             a, b, of_a, of_b = b, a, j, i
         waves.number[0] = 0
-        straight = distance(row(a.points, of_a), row(b.points, of_b))
-        scratch.field[:, :] = 1.0
+        p, q = row(a.points, of_a), row(b.points, of_b)
+        straight = distance(p, q)
+        pair.field[:, :] = 1.0
         for n in range(len(energy)):
             energy[n] = 4.0 * math.pi * context.direct[i, j, n]
         zero = (0.0, 0.0, 0.0)
         add_wave(
             waves,
             Path(straight, zero, zero, (-1, -1), _DIRECT, (-1, -1), (-1, -1, -1)),
-            scratch.field,
+            pair.field,
             energy,
             False,
         )
-        _add_mirrors(context, a, b, of_a, of_b, scratch)
-        if straight > context.sight.geometry.epsilon and len(context.edges.wedges.length) > 0:
-            _add_edges(context, a, b, of_a, of_b, context.walls[i, j] == 0, scratch)
+        _add_mirrors(scene.sight, a.sequences, b.sequences, of_a, of_b, p, q, pair)
+        if straight > scene.sight.geometry.epsilon and len(scene.edges.wedges.length) > 0:
+            _add_edges(scene, a, b, of_a, of_b, context.walls[i, j] == 0, scratch)
         if waves.number[0] > len(waves.length):
             slots.number[k] = -waves.number[0]
             continue
-        join(waves, context.spectrum)
+        join(waves, scene.spectrum)
         fade(waves, energy)
         for n in range(len(energy)):
             context.joined[i, j, n] = energy_of(waves, 0, n)

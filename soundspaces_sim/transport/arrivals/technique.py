@@ -17,7 +17,14 @@ from soundspaces_sim.core.numerics.rng import point_keys
 from soundspaces_sim.core.numerics.vec3 import distance, row
 from soundspaces_sim.scene.rays.directions import INV_4PI
 from soundspaces_sim.scene.rays.geometry import Geometry
-from soundspaces_sim.transport.arrivals.connect import Context, Scratch, find_arrivals
+from soundspaces_sim.transport.arrivals.connect import (
+    Context,
+    Marked,
+    Pair,
+    Scene,
+    Scratch,
+    find_arrivals,
+)
 from soundspaces_sim.transport.arrivals.double_wedge import make_double_wedge_scratch
 from soundspaces_sim.transport.arrivals.field import make_spectrum
 from soundspaces_sim.transport.arrivals.for_each_pair import for_each_pair
@@ -126,9 +133,7 @@ def context_of(
     model, edges = tile.model, tile.model.once(edges_of)
     spectrum = make_spectrum(model.config.bands, model.config.c)
     context = Context(
-        sight=model.once(view_of),
-        edges=edges,
-        spectrum=spectrum,
+        scene=Scene(model.once(view_of), edges, spectrum),
         a=tile.a.once(sight_of),
         b=tile.b.once(sight_of),
         walls=walls,
@@ -138,16 +143,12 @@ def context_of(
     bands = spectrum.k.shape[0]
 
     def scratch(room: int) -> Scratch:
+        field = np.empty(spectrum.k.shape, np.complex128)
         return Scratch(
-            waves=make_waves(room, spectrum),
-            field=np.empty(spectrum.k.shape, np.complex128),
-            energy=np.empty(bands),
-            heard=np.empty(bands),
-            least=np.empty(bands),
-            seen=np.full(len(edges.wedges.length), -1, np.int32),
-            link=np.full(len(edges.links.wedge), -1, np.int32),
-            double=make_double_wedge_scratch(len(spectrum.node)),
-            way=make_way_scratch(),
+            Pair(make_waves(room, spectrum), field, *np.empty((3, bands))),
+            Marked(np.full(len(edges.wedges.length), -1), np.full(len(edges.links.wedge), -1)),
+            make_double_wedge_scratch(len(spectrum.node)),
+            make_way_scratch(),
         )
 
     return context, scratch
