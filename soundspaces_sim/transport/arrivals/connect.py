@@ -22,7 +22,6 @@ from soundspaces_sim.transport.arrivals.field import (
     EdgePath,
     Front,
     Spectrum,
-    Terms,
     Turn,
     beyond_end,
     detours_of_ends,
@@ -130,6 +129,7 @@ class Pair(NamedTuple):
     energy: np.ndarray  # (b,)
     heard: np.ndarray  # (b,) least |P|² of a wave that counts
     least: np.ndarray  # (b,) the same of the ends at hand, before what planes take
+    images: np.ndarray  # (b, 2) what the images in an edge's faces have of those in rigid ones (T32)
 
 
 class Marked(NamedTuple):
@@ -363,27 +363,20 @@ def _cosines(path: EdgePath, turns: tuple[Turn, Turn, Turn]) -> tuple[float, flo
     return max(path.sin_beta * sin_s, 0.0), max(path.sin_beta * second, 0.0)
 
 
-@part(forceinline=True)
-def _image(
-    edges: Edges, surfaces: Surfaces, e: int, face: int, cos: float, off: float, band: int
-) -> float:
-    """What a face's image has of a rigid face's (T32), so far `off` the boundary of its reflection."""
-    mirrors = 0.0
-    if off < 1.0 and edges.plane[e, face] >= 0:
-        material = edges.material[e, face]
-        mirrors = math.sqrt(specular_reflectance(surfaces, material, cos, band))
-    return off * edges.reflects[e, face, band] + (1.0 - off) * mirrors
-
-
-@part(forceinline=True)
-def _images(
-    edges: Edges, surfaces: Surfaces, e: int, path: EdgePath, cos: tuple[float, float], band: int
-) -> tuple[float, float]:
-    """(T32) of both faces."""
-    first, second = off_reflection(path, path.plus), off_reflection(path, path.other)
-    return _image(edges, surfaces, e, 0, cos[0], first, band), _image(
-        edges, surfaces, e, 1, cos[1], second, band
-    )
+@part
+def _set_images(
+    edges: Edges, surfaces: Surfaces, e: int, path: EdgePath, cos: tuple[float, float], out: np.ndarray
+) -> None:
+    """(T32) of both faces, into `out` (b, 2); `cos` of the angles of incidence."""
+    off = off_reflection(path, path.plus), off_reflection(path, path.other)
+    for face in range(2):
+        near = off[face] < 1.0 and edges.plane[e, face] >= 0
+        for b in range(len(out)):
+            mirrors = 0.0
+            if near:
+                material = edges.material[e, face]
+                mirrors = math.sqrt(specular_reflectance(surfaces, material, cos[face], b))
+            out[b, face] = off[face] * edges.reflects[e, face, b] + (1.0 - off[face]) * mirrors
 
 
 @part
@@ -515,20 +508,13 @@ def _single_may_be_heard(
 
 @part
 def _is_heard(
-    scene: Scene,
-    e: int,
-    path: EdgePath,
-    terms: Terms,
-    front: Front,
-    cos: tuple[float, float],
-    least: np.ndarray,
+    path: EdgePath, front: Front, k: np.ndarray, images: np.ndarray, least: np.ndarray
 ) -> bool:
     """Whether the path's wave is above `least` in any band, of those where a bound of it is."""
     for b in range(len(least)):
-        k = scene.spectrum.k[b, 0]
-        mirror = _images(scene.edges, scene.sight.surfaces, e, path, cos, b)
-        if most_of_edge(path, terms, k, mirror) ** 2 > least[b]:
-            p = field_at(path, front, k, mirror)
+        mirror = images[b, 0], images[b, 1]
+        if most_of_edge(path, front.terms, k[b, 0], mirror) ** 2 > least[b]:
+            p = field_at(path, front, k[b, 0], mirror)
             if p.real**2 + p.imag**2 > least[b]:
                 return True
     return False
@@ -557,8 +543,9 @@ def _add_single(scene: Scene, ends: _Ends, e: int, first: _About, second: _About
     exact &= path.minus == r.phi - s.phi and path.plus == plus
     if not (exact and path.other == 2.0 * math.pi * path.n - plus):
         terms = terms_of(path)  # an angle was moved to the other side of its boundary
-    front, cos = front_of(path, terms), _cosines(path, (of_s, of_r, of_edge))
-    if not _is_heard(scene, e, path, terms, front, cos, least):
+    front, cos, images = front_of(path, terms), _cosines(path, (of_s, of_r, of_edge)), pair.images
+    _set_images(scene.edges, scene.sight.surfaces, e, path, cos, images)
+    if not _is_heard(path, front, spectrum.k, images, least):
         return
     at, p, q = met_point(wedges, e, path.apex), ends.p, ends.q
     from_p = leg_to(scene.sight, p, at)
@@ -571,7 +558,7 @@ def _add_single(scene: Scene, ends: _Ends, e: int, first: _About, second: _About
     from_p, from_q = moved_to(scene.sight, p, from_p, at), moved_to(scene.sight, q, from_q, at)
     leave_s, leave_r = _leaves(scene.edges, e, path, s), _leaves(scene.edges, e, path, r)
     for b in range(len(least)):
-        mirror = _images(scene.edges, scene.sight.surfaces, e, path, cos, b)
+        mirror = images[b, 0], images[b, 1]
         for g in range(field.shape[1]):
             k = spectrum.k[b, g]
             field[b, g] = field_at(path, front, k, mirror) * _stays(k, leave_s) * _stays(k, leave_r)

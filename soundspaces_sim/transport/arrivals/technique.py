@@ -145,7 +145,7 @@ def context_of(
     def scratch(room: int) -> Scratch:
         field = np.empty(spectrum.k.shape, np.complex128)
         return Scratch(
-            Pair(make_waves(room, spectrum), field, *np.empty((3, bands))),
+            Pair(make_waves(room, spectrum), field, *np.empty((3, bands)), np.empty((bands, 2))),
             Marked(np.full(len(edges.wedges.length), -1), np.full(len(edges.links.wedge), -1)),
             make_double_wedge_scratch(len(spectrum.node)),
             make_way_scratch(),
