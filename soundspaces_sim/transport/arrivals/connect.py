@@ -69,7 +69,15 @@ from soundspaces_sim.transport.arrivals.two_edges import (
     two_edge_field,
     two_edge_path,
 )
-from soundspaces_sim.transport.arrivals.waves import Path, Waves, add_wave, energy_of, fade, join, smooth
+from soundspaces_sim.transport.arrivals.waves import (
+    Path,
+    Waves,
+    add_wave,
+    energy_of,
+    fade,
+    join,
+    smooth,
+)
 from soundspaces_sim.transport.arrivals.ways import (
     WayScratch,
     are_linked,
@@ -88,6 +96,7 @@ from soundspaces_sim.transport.arrivals.wedges import (
     edge_point,
     met_edge,
     met_point,
+    wedge_coordinates,
 )
 from soundspaces_sim.transport.bsdf.surface import Surfaces, specular_reflectance
 
@@ -317,28 +326,35 @@ class _Leaves(NamedTuple):
     """Where sound that runs along a face of an edge leaves it by the side, at right angles to the edge."""
 
     detour: float  # m, by that side over the straight path
-    weight: float  # 1 along the face; 0 off it, near boundaries, or where a parallel edge ends the face
+    weight: float  # 1 along the face; 0 off it, near boundaries, or where a path by two edges takes over
 
 
 @part
-def _leaves(edges: Edges, e: int, path: EdgePath, c: WedgeCoordinates) -> _Leaves:
-    """Of one end about an edge, beyond either end of that; not where it leaves the face by a parallel edge."""
-    wedges, links, sector = edges.wedges, edges.links, math.pi * path.n
+def _leaves(edges: Edges, e: int, apex: float, to: float, c: WedgeCoordinates, on: float) -> _Leaves:
+    """Of one end about an edge, beyond either end of that, where the way from the apex goes to the angle `to`. What
+    leaves the face by a parallel edge stays, so far as a path by both edges takes over, `on` of it."""
+    wedges, links = edges.wedges, edges.links
+    sector, length = math.pi * wedges.n[e], wedges.length[e]
     phi = min(c.phi, sector - c.phi)
-    before, after = c.z < 0.0 and not wedges.stands[e, 0], c.z > path.length and not wedges.stands[e, 1]
+    before, after = c.z < 0.0 and not wedges.stands[e, 0], c.z > length and not wedges.stands[e, 1]
     if phi >= _ALONG_FACE or not (before or after):
         return _Leaves(0.0, 0.0)
-    side = 0.0 if before else path.length
+    side = 0.0 if before else length
     rise, up, away = abs(c.z - side), c.r * math.sin(phi), c.r * math.cos(phi)
-    along = abs(min(max(path.apex, 0.0), path.length) - side)
+    along = abs(min(max(apex, 0.0), length) - side)
     weight = cosine_taper(phi / _ALONG_FACE) * cosine_taper(math.atan2(up, rise) / _ALONG_FACE)
-    for boundary in (path.minus, path.plus, path.other):
+    for boundary in (abs(c.phi - to), c.phi + to, 2.0 * sector - c.phi - to):
         weight *= 1.0 - cosine_taper(abs(boundary - math.pi) / _ALONG_FACE)
-    across = away * along / (along + rise)
+    width = math.inf
     for m in range(links.start[e], links.start[e + 1]):
         plate = sector > 2.0 * math.pi - ON_FACE
         if plate or (links.phi[m, 0] > 0.5 * sector) == (c.phi > 0.5 * sector):
-            weight *= cosine_taper(across / links.width[m])
+            width = min(width, links.width[m])
+    if away > 0.5 * width:
+        by_corner = math.hypot(along, width) + math.hypot(rise, away - width)
+        left = math.sqrt(cosine_taper((by_corner - math.hypot(along + rise, away)) / BEYOND))
+        passes = away * along > width * (along + rise)
+        weight *= 1.0 - on * (1.0 if passes else left * smooth(2.0 * away / width - 1.0))
     straight = math.sqrt((along + rise) ** 2 + up**2 + away**2)
     by_side = math.hypot(along + math.hypot(rise, up), away)
     return _Leaves(max(by_side - straight, 0.0), weight)
@@ -556,7 +572,10 @@ def _add_single(scene: Scene, ends: _Ends, e: int, first: _About, second: _About
         return
     at = met_edge(wedges, e, path.apex)
     from_p, from_q = moved_to(scene.sight, p, from_p, at), moved_to(scene.sight, q, from_q, at)
-    leave_s, leave_r = _leaves(scene.edges, e, path, s), _leaves(scene.edges, e, path, r)
+    beyond = path.start if path.apex < 0.0 else (path.end if path.apex > path.length else 0.0)
+    on = math.sqrt(cosine_taper(beyond / BEYOND))
+    leave_s = _leaves(scene.edges, e, path.apex, r.phi, s, on)
+    leave_r = _leaves(scene.edges, e, path.apex, s.phi, r, on)
     for b in range(len(least)):
         mirror = images[b, 0], images[b, 1]
         for g in range(field.shape[1]):
@@ -713,11 +732,15 @@ def _add_double(
         return
     if not two_edge_field(wedges, x, shares, spectrum, pair.least, scratch, pair.field):
         return
+    leave_p = _leaves(scene.edges, e, x.z_e, x.phi_f, wedge_coordinates(wedges, e, p.at), 1.0)
+    leave_q = _leaves(scene.edges, f, x.z_f, x.phi_e, wedge_coordinates(wedges, f, q.at), 1.0)
     for b in range(len(pair.least)):
         of_e, face = _of_rigid(scene.edges, e, x.phi_p, x.phi_f, b)
         of_f, _ = _of_rigid(scene.edges, f, x.phi_q, x.phi_e, b)
         for g in range(pair.field.shape[1]):
-            pair.field[b, g] *= 2.0 * of_e * of_f / (1.0 + face)
+            k = spectrum.k[b, g]
+            of_sides = _stays(k, leave_p) * _stays(k, leave_q)
+            pair.field[b, g] *= 2.0 * of_e * of_f / (1.0 + face) * of_sides
     met_e, met_f = met_edge(wedges, e, x.z_e), met_edge(wedges, f, x.z_f)
     if not meets_both(wedges, x):
         longer = distance(p.at, met_e) + distance(met_e, met_f) + distance(met_f, q.at)
