@@ -5,6 +5,7 @@ is as the walks of `test_edge_walks` have it, whose edges have no ends.
 """
 
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -136,21 +137,30 @@ def test_bodies_that_absorb(admittance: float) -> None:
     assert (np.abs(off[dark].mean(axis=0)) < 1.0).all(), off[dark].mean(axis=0)
 
 
+def _energies(scene: ss.Scene, edges: bool) -> np.ndarray:
+    """(b,) of all pairs of some places, in the first 100 ms."""
+    points = places_of(scene)
+    first, second = np.triu_indices(len(points), 1)
+    config = ss.SimulationConfig(walks=300, duration=0.15, diffraction=edges)  # type: ignore[arg-type]
+    echoes = ss.simulate(scene, points, points, config, seed=1)
+    energy = echoes.energy[:, :, echoes.time_edges[1:] < 0.1005, 0].sum(axis=2)
+    for i, j in zip(first.tolist(), second.tolist(), strict=True):
+        energy[i, j] += sum((a.energy for a in echoes[i, j].arrivals if a.delay < 0.1), np.zeros(4))
+    return np.asarray(energy[first, second].sum(axis=0))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["home-7001", "home-7002", "home-7003"])
-def test_energy_of_rooms(name: str) -> None:
+def test_energy_of_homes(name: str) -> None:
     """Over the pairs of furnished homes edges add no energy to the first 100 ms: what they bring into shadows they
     take from the light. 1.00 ± .02 was wanted of every band; 0.95 is the lowest that was measured, at 24 places."""
     pytest.importorskip("soundspaces_buildings")
     scene = ss.load_scene(name)
-    points = places_of(scene)
-    first, second = np.triu_indices(len(points), 1)
-    total = []
-    for edges in (True, False):
-        config = ss.SimulationConfig(walks=300, duration=0.15, diffraction=edges)  # type: ignore[arg-type]
-        echoes = ss.simulate(scene, points, points, config, seed=1)
-        energy = echoes.energy[:, :, echoes.time_edges[1:] < 0.1005, 0].sum(axis=2)
-        for i, j in zip(first.tolist(), second.tolist(), strict=True):
-            energy[i, j] += sum((a.energy for a in echoes[i, j].arrivals if a.delay < 0.1), np.zeros(4))
-        total.append(energy[first, second].sum(axis=0))
-    np.testing.assert_allclose(total[0], total[1], rtol=0.06)
+    np.testing.assert_allclose(_energies(scene, True), _energies(scene, False), rtol=0.06)
+
+
+@pytest.mark.slow
+def test_energy_of_a_house(shared: Path) -> None:
+    """The same of a house as labelled: 1.07 1.03 1.03 1.03 were measured, and 1.04 1.05 1.03 1.02 at 40 places."""
+    scene = ss.load_scene(shared / "scenes" / "aws_small_house")
+    np.testing.assert_allclose(_energies(scene, True), _energies(scene, False), rtol=0.08)
