@@ -23,7 +23,7 @@ import tempfile
 
 from benchmarks.tools.record import Table, table
 
-_ROOMS = {
+_ROOMS = {  # a kernel is of the first that it fits
     "arrivals": "transport.arrivals",
     "transfer": "transport.radiance_transfer",
     "other transport": "transport",

@@ -111,7 +111,7 @@ _MAX_BEYOND = 0.5  # m, detour by an end of an edge beyond which the apex lies, 
 _MAX_DETOUR = 2.0  # m, by two edges over what goes straight, up to which they count in the light
 
 
-class Scene(NamedTuple):
+class Surroundings(NamedTuple):
     """What is there, and the wave numbers of all bands."""
 
     sight: View
@@ -122,7 +122,7 @@ class Scene(NamedTuple):
 class Context(NamedTuple):
     """What the kernel reads, and `joined`, which it fills."""
 
-    scene: Scene
+    scene: Surroundings
     a: Sight
     b: Sight
     walls: np.ndarray  # (A, B) between the points; 0: they see each other
@@ -345,9 +345,8 @@ def _leaves(edges: Edges, e: int, apex: float, to: float, c: WedgeCoordinates, o
     weight = cosine_taper(phi / _ALONG_FACE) * cosine_taper(math.atan2(up, rise) / _ALONG_FACE)
     for boundary in (abs(c.phi - to), c.phi + to, 2.0 * sector - c.phi - to):
         weight *= 1.0 - cosine_taper(abs(boundary - math.pi) / _ALONG_FACE)
-    width = math.inf
+    width, plate = math.inf, sector > 2.0 * math.pi - ON_FACE
     for m in range(links.start[e], links.start[e + 1]):
-        plate = sector > 2.0 * math.pi - ON_FACE
         if plate or (links.phi[m, 0] > 0.5 * sector) == (c.phi > 0.5 * sector):
             width = min(width, links.width[m])
     if away > 0.5 * width:
@@ -461,7 +460,7 @@ def _about(seen: Seen, n: int) -> _About:
 
 @part
 def _add_singles(
-    scene: Scene, a: Seen, b: Seen, ends: _Ends, least: _Least, marked: np.ndarray, pair: Pair
+    scene: Surroundings, a: Seen, b: Seen, ends: _Ends, least: _Least, marked: np.ndarray, pair: Pair
 ) -> None:
     """Waves by every edge that both ends see, of which the second is marked."""
     for n in range(a.start[ends.u], a.start[ends.u + 1]):
@@ -545,7 +544,9 @@ def _in_order(a: WedgeCoordinates, b: WedgeCoordinates) -> bool:
 
 
 @part
-def _add_single(scene: Scene, ends: _Ends, e: int, first: _About, second: _About, pair: Pair) -> None:
+def _add_single(
+    scene: Surroundings, ends: _Ends, e: int, first: _About, second: _About, pair: Pair
+) -> None:
     """The wave by an edge between two ends about it, that at the smaller angle first."""
     (s, of_s), (r, of_r), turn = first, second, scene.edges.turn
     of_edge = Turn(turn[e, 0], turn[e, 1], turn[e, 2], turn[e, 3])
@@ -696,7 +697,9 @@ def _is_above(first: float, second: float, scale: float, spectrum: Spectrum, lea
 
 
 @part
-def _add_doubles(scene: Scene, a: Seen, b: Seen, ends: _Ends, straight: float, scratch: Scratch) -> None:
+def _add_doubles(
+    scene: Surroundings, a: Seen, b: Seen, ends: _Ends, straight: float, scratch: Scratch
+) -> None:
     """Waves by two edges of one face; the second end is marked."""
     edges, least, lit = scene.edges, scratch.pair.least, ends.lit
     for n in range(a.link_start[ends.u], a.link_start[ends.u + 1]):
@@ -708,7 +711,13 @@ def _add_doubles(scene: Scene, a: Seen, b: Seen, ends: _Ends, straight: float, s
 
 @part
 def _add_double(
-    scene: Scene, ends: _Ends, e: int, f: int, straight: float, pair: Pair, scratch: DoubleWedgeScratch
+    scene: Surroundings,
+    ends: _Ends,
+    e: int,
+    f: int,
+    straight: float,
+    pair: Pair,
+    scratch: DoubleWedgeScratch,
 ) -> None:
     wedges, spectrum, view, p, q = scene.edges.wedges, scene.spectrum, scene.sight, ends.p, ends.q
     inside, x = two_edge_path(wedges, e, f, p.at, q.at)
@@ -751,7 +760,7 @@ def _add_double(
 
 @part
 def _add_way(
-    scene: Scene, a: Sight, b: Sight, i: int, j: int, ends: _Ends, pair: Pair, way: WayScratch
+    scene: Surroundings, a: Sight, b: Sight, i: int, j: int, ends: _Ends, pair: Pair, way: WayScratch
 ) -> None:
     """Add the wave of the shortest way round several edges that is free, of the ways of either point to edges that
     the other one sees; by one edge, or two of a face, it is there."""
@@ -805,7 +814,9 @@ def _mirrors_near(view: View, plane: int, p: Vec3, q: Vec3) -> bool:
 
 
 @part
-def _add_edges(scene: Scene, a: Sight, b: Sight, i: int, j: int, lit: bool, scratch: Scratch) -> None:
+def _add_edges(
+    scene: Surroundings, a: Sight, b: Sight, i: int, j: int, lit: bool, scratch: Scratch
+) -> None:
     """Waves by edges: between both points, of either's images with the other point, and of both in one plane."""
     at_p, at_q, view, of_points = row(a.points, i), row(b.points, j), scene.sight, True
     pair = scratch.pair

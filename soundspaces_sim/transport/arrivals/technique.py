@@ -21,8 +21,8 @@ from soundspaces_sim.transport.arrivals.connect import (
     Context,
     Marked,
     Pair,
-    Scene,
     Scratch,
+    Surroundings,
     find_arrivals,
 )
 from soundspaces_sim.transport.arrivals.double_wedge import make_double_wedge_scratch
@@ -133,7 +133,7 @@ def context_of(
     model, edges = tile.model, tile.model.once(edges_of)
     spectrum = make_spectrum(model.config.bands, model.config.c)
     context = Context(
-        scene=Scene(model.once(view_of), edges, spectrum),
+        scene=Surroundings(model.once(view_of), edges, spectrum),
         a=tile.a.once(sight_of),
         b=tile.b.once(sight_of),
         walls=walls,
@@ -143,12 +143,21 @@ def context_of(
     bands = spectrum.k.shape[0]
 
     def scratch(room: int) -> Scratch:
-        field = np.empty(spectrum.k.shape, np.complex128)
+        pair = Pair(
+            waves=make_waves(room, spectrum),
+            field=np.empty(spectrum.k.shape, np.complex128),
+            energy=np.empty(bands),
+            heard=np.empty(bands),
+            least=np.empty(bands),
+            images=np.empty((bands, 2)),
+        )
         return Scratch(
-            Pair(make_waves(room, spectrum), field, *np.empty((3, bands)), np.empty((bands, 2))),
-            Marked(np.full(len(edges.wedges.length), -1), np.full(len(edges.links.wedge), -1)),
-            make_double_wedge_scratch(len(spectrum.node)),
-            make_way_scratch(),
+            pair=pair,
+            marked=Marked(
+                wedge=np.full(len(edges.wedges.length), -1), link=np.full(len(edges.links.wedge), -1)
+            ),
+            double=make_double_wedge_scratch(len(spectrum.node)),
+            way=make_way_scratch(),
         )
 
     return context, scratch
